@@ -1,0 +1,1 @@
+"""Rank 0: records, arrays of particles and the random stream; knows nothing of estimation."""

@@ -1,0 +1,126 @@
+"""Checks of what the user gives: every refusal is one line that names the argument, what was expected, what was given, what to do."""
+
+import importlib
+from types import ModuleType
+from typing import Any, NoReturn
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+LONGEST = 500
+
+
+class MotesError(ValueError):
+    """Something the user gave cannot be used; the message is one line of at most 500 printable characters."""
+
+    def __init__(self, message: str):
+        """Keep the message printable and on one line, whatever names or values it quotes."""
+        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+        super().__init__(line if len(line) <= LONGEST else line[: LONGEST - 3] + "...")
+
+
+class FileError(MotesError):
+    """A file cannot be read or written as asked."""
+
+
+class CollapseError(MotesError):
+    """No particle (or no prediction) explains a measurement: all weights vanished."""
+
+
+class MissingExtraError(MotesError, ImportError):
+    """A feature needs a package that is not installed."""
+
+
+def refuse(argument: str, expected: str, given: object, hint: str = "", error: type[MotesError] = MotesError) -> NoReturn:
+    """Raise `error` with the project's one form of message."""
+    raise error(f"{argument}: expected {expected}, got {given}." + (f" {hint}" if hint else ""))
+
+
+def need(module: str, extra: str) -> ModuleType:
+    """Import an optional module, or say which extra brings it.
+
+    Raises:
+        MissingExtraError: the module is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as reason:
+        package = module.split(".")[0]
+        raise MissingExtraError(
+            f"{package}: needed for this and not usable here ({reason}); install it with: pip install 'motes[{extra}]'."
+        ) from None
+
+
+def is_concrete(value: Any) -> bool:
+    """Tell whether a value is known now (not a tracer inside jit, vmap or grad)."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+
+
+def as_float(argument: str, value: Any) -> jax.Array:
+    """Return an array of floats, or refuse."""
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError):
+        refuse(argument, "an array of numbers", type(value).__name__)
+    if jnp.issubdtype(array.dtype, jnp.floating):
+        return array
+    if jnp.issubdtype(array.dtype, jnp.integer) or array.dtype == bool:
+        return array.astype(jnp.result_type(float))
+    refuse(argument, "real numbers", f"dtype {array.dtype}")
+
+
+def shape(argument: str, value: Any, expected: tuple[int | None, ...], meaning: str = "") -> None:
+    """Refuse a value whose shape is not the expected one (None in the expected shape matches any length)."""
+    given = np.shape(value)
+    if len(given) != len(expected) or any(e is not None and e != g for e, g in zip(expected, given, strict=True)):
+        wanted = "(" + ", ".join("any" if e is None else str(e) for e in expected) + ("," if len(expected) == 1 else "") + ")"
+        refuse(argument, f"shape {wanted}{' ' + meaning if meaning else ''}", f"shape {given}")
+
+
+def covariance(argument: str, value: Any, size: int, definite: bool = False) -> None:
+    """Refuse what is not a covariance of the given size; only the shape is checked where the numbers are not known yet.
+
+    Args:
+        argument: name to use in the message.
+        value: the matrix, `(size, size)`.
+        size: number of components.
+        definite: ask for positive definite instead of positive semi-definite.
+    """
+    shape(argument, value, (size, size), "(a covariance matrix)")
+    if not is_concrete(value):
+        return
+    matrix = np.asarray(value, dtype=np.float64)
+    if not np.isfinite(matrix).all():
+        refuse(argument, "finite numbers in the covariance", "NaN or infinite entries")
+    scale = np.sqrt(np.outer(np.abs(np.diag(matrix)), np.abs(np.diag(matrix)))) + np.finfo(np.float64).tiny
+    asymmetry = np.abs(matrix - matrix.T)
+    if (asymmetry > 1e-5 * (scale + np.abs(matrix))).any():
+        i, j = np.unravel_index(np.argmax(asymmetry), matrix.shape)
+        refuse(argument, "a symmetric covariance", f"{matrix[i, j]:.6g} at [{i}, {j}] but {matrix[j, i]:.6g} at [{j}, {i}]")
+    kind = "positive definite" if definite else "positive semi-definite"
+    if (np.diag(matrix) < 0).any() or (definite and (np.diag(matrix) <= 0).any()):
+        refuse(argument, f"a {kind} covariance", f"variances {np.diag(matrix).tolist()}")
+    # scaled to a correlation matrix first, so that small variances beside large ones are judged alike
+    lowest = float(np.linalg.eigvalsh(matrix / scale).min())
+    if lowest < -1e-5 or (definite and lowest <= 0):
+        refuse(argument, f"a {kind} covariance", f"one whose scaled matrix has the eigenvalue {lowest:.3g}")
+
+
+def finite(argument: str, value: Any, hint: str = "") -> None:
+    """Refuse infinite or NaN numbers, as far as they are known."""
+    if is_concrete(value) and not np.isfinite(np.asarray(value)).all():
+        where = np.argwhere(~np.isfinite(np.asarray(value)))[0].tolist()
+        refuse(argument, "finite numbers", f"{np.asarray(value)[tuple(where)]} at index {where}", hint)
+
+
+def positive_integer(argument: str, value: Any) -> None:
+    """Refuse what is not a whole number of at least one."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        refuse(argument, "a whole number of at least 1", repr(value))
+
+
+def option(argument: str, value: Any, allowed: tuple[str, ...]) -> None:
+    """Refuse a word that is not one of the allowed ones."""
+    if value not in allowed:
+        refuse(argument, "one of " + ", ".join(map(repr, allowed)), repr(value))

@@ -1,0 +1,1 @@
+"""Rank 4: one file per filter, the loop and the stream that drive them."""

@@ -1,0 +1,1 @@
+"""Rank 1: bytes in and out; knows records only, never a filter."""

@@ -1,0 +1,1 @@
+"""Rank 7: pictures; with `report` the only importer of matplotlib."""

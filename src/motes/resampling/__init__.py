@@ -1,0 +1,1 @@
+"""Rank 2: how ancestors are drawn (schemes) and when (policy)."""
