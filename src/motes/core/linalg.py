@@ -1,0 +1,127 @@
+"""Small-matrix algebra with the particle axis last: `(i, j)` for one matrix, `(i, j, n)` for one per particle.
+
+Loops over the small axes are written out at trace time, so that each line of the compiled program runs over all particles. Operands
+with and without the particle axis mix freely; a result has the axis when an operand has it.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.lax import Precision
+
+_EXACT = Precision.HIGHEST
+
+
+def _align(a: jax.Array, b: jax.Array, small_axes: int) -> tuple[jax.Array, jax.Array]:
+    """Give both the particle axis if one has it; `small_axes` counts the axes before it in b."""
+    batched = a.ndim == 3 or b.ndim == small_axes + 1
+    if batched and a.ndim == 2:
+        a = a[..., None]
+    if batched and b.ndim == small_axes:
+        b = b[..., None]
+    return a, b
+
+
+def product(a: jax.Array, b: jax.Array) -> jax.Array:
+    """A B: `(i, j, *n)` and `(j, k, *n)` give `(i, k, *n)`."""
+    if a.ndim == 2:
+        return jnp.tensordot(a, b, 1, precision=_EXACT)
+    a, b = _align(a, b, 2)
+    return sum((a[:, j, None] * b[j, None] for j in range(1, a.shape[1])), a[:, 0, None] * b[0, None])
+
+
+def times_vector(a: jax.Array, v: jax.Array) -> jax.Array:
+    """A v: `(i, j, *n)` and `(j, *n)` give `(i, *n)`."""
+    if a.ndim == 2:
+        return jnp.matmul(a, v, precision=_EXACT)
+    a, v = _align(a, v, 1)
+    return sum((a[:, j] * v[j] for j in range(1, a.shape[1])), a[:, 0] * v[0])
+
+
+def transpose(a: jax.Array) -> jax.Array:
+    """A': `(i, j, *n)` gives `(j, i, *n)`."""
+    return jnp.swapaxes(a, 0, 1)
+
+
+def add(a: jax.Array, b: jax.Array) -> jax.Array:
+    """A + B for matrices, either with a particle axis or without."""
+    a, b = _align(a, b, 2)
+    return a + b
+
+
+def add_vectors(a: jax.Array, b: jax.Array) -> jax.Array:
+    """A + b for vectors `(i,)` or `(i, n)`."""
+    if a.ndim == b.ndim:
+        return a + b
+    return a[:, None] + b if a.ndim < b.ndim else a + b[:, None]
+
+
+def symmetric(a: jax.Array) -> jax.Array:
+    """Mean of a matrix and its transpose: takes out the asymmetry that rounding leaves."""
+    return 0.5 * (a + transpose(a))
+
+
+def sandwich(a: jax.Array, p: jax.Array) -> jax.Array:
+    """A P A', symmetric to the last bit for symmetric P."""
+    return symmetric(product(product(a, p), transpose(a)))
+
+
+def identity_like(a: jax.Array) -> jax.Array:
+    """Identity matrix `(i, i)` of the size and type of a."""
+    return jnp.eye(a.shape[0], dtype=a.dtype)
+
+
+def cholesky(a: jax.Array) -> jax.Array:
+    """Lower factor L with L L' = A for positive semi-definite A `(i, i, *n)`.
+
+    A pivot that is zero up to rounding gives a zero column, so that a direction without variance stays exactly without.
+    """
+    size = a.shape[0]
+    tolerance = 4 * size * float(jnp.finfo(a.dtype).eps)
+    columns: list[jax.Array] = []
+    for j in range(size):
+        column = a[j:, j]
+        for done, earlier in enumerate(columns):
+            column = column - earlier[j - done :] * earlier[j - done]
+        alive = column[0] > tolerance * a[j, j]
+        scale = jnp.where(alive, jax.lax.rsqrt(jnp.where(alive, column[0], 1)), 0)
+        columns.append(column * scale)
+    padded = [jnp.concatenate([jnp.zeros((j, *c.shape[1:]), a.dtype), c]) if j else c for j, c in enumerate(columns)]
+    return jnp.stack(padded, axis=1)
+
+
+def solve_lower(lower: jax.Array, b: jax.Array) -> jax.Array:
+    """Solve L z = b for b `(i, *n)` or `(i, j, *n)`; a zero pivot gives a zero component (least effort on a singular factor)."""
+    rows: list[jax.Array] = []
+    for i in range(lower.shape[0]):
+        rest = b[i]
+        for j, row in enumerate(rows):
+            rest = rest - lower[i, j] * row
+        rows.append(rest * _inverse_pivot(lower[i, i]))
+    return jnp.stack(rows)
+
+
+def solve_upper(lower: jax.Array, b: jax.Array) -> jax.Array:
+    """Solve L' z = b with the lower factor L."""
+    size = lower.shape[0]
+    rows: dict[int, jax.Array] = {}
+    for i in reversed(range(size)):
+        rest = b[i]
+        for j in range(i + 1, size):
+            rest = rest - lower[j, i] * rows[j]
+        rows[i] = rest * _inverse_pivot(lower[i, i])
+    return jnp.stack([rows[i] for i in range(size)])
+
+
+def _inverse_pivot(pivot: jax.Array) -> jax.Array:
+    return jnp.where(pivot > 0, 1 / jnp.where(pivot > 0, pivot, 1), 0)
+
+
+def solve(lower: jax.Array, b: jax.Array) -> jax.Array:
+    """Solve (L L') z = b."""
+    return solve_upper(lower, solve_lower(lower, b))
+
+
+def log_determinant(lower: jax.Array) -> jax.Array:
+    """log det(L L') from the factor; a direction without variance does not count."""
+    diagonal = jnp.stack([lower[i, i] for i in range(lower.shape[0])])
+    return 2 * jnp.sum(jnp.log(jnp.where(diagonal > 0, diagonal, 1)), axis=0)

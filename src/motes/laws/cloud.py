@@ -1,0 +1,69 @@
+"""Clouds of weighted particles."""
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import logspace, random
+from motes.core.record import record, replace
+from motes.laws.law import Law
+
+
+def weighted_mean(points: jax.Array, weights: jax.Array) -> jax.Array:
+    """Mean `(x,)` of points `(x, n)` under weights `(n,)` that sum to one."""
+    return jnp.matmul(points, weights, precision=jax.lax.Precision.HIGHEST)
+
+
+def weighted_cov(points: jax.Array, weights: jax.Array) -> jax.Array:
+    """Covariance `(x, x)` of points `(x, n)` under weights `(n,)` that sum to one."""
+    off = points - weighted_mean(points, weights)[:, None]
+    return jnp.matmul(off * weights, off.T, precision=jax.lax.Precision.HIGHEST)
+
+
+@record
+class Cloud(Law):
+    """Weighted particles.
+
+    Attributes:
+        particles: `(x, n)`.
+        log_weights: normalized, `(n,)`.
+        ancestors: index of each particle's parent at the step before, `(n,)` int32.
+    """
+
+    particles: jax.Array
+    log_weights: jax.Array
+    ancestors: jax.Array
+
+    @classmethod
+    def equal(cls, particles: jax.Array) -> "Cloud":
+        """Give particles `(x, n)` equal weights, each its own ancestor."""
+        n = particles.shape[-1]
+        return cls(particles, logspace.uniform_weights(n, particles.dtype), jnp.arange(n, dtype=jnp.int32))
+
+    @property
+    def weights(self) -> jax.Array:
+        """Weights that sum to one, `(n,)`."""
+        return jnp.exp(self.log_weights)
+
+    def mean(self) -> jax.Array:
+        """Weighted mean, `(x,)`."""
+        return weighted_mean(self.particles, self.weights)
+
+    def cov(self) -> jax.Array:
+        """Weighted covariance, `(x, x)`."""
+        return weighted_cov(self.particles, self.weights)
+
+    def sample(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n particles with replacement, `(x, n)`."""
+        return self.particles[:, draw(key, self.log_weights, n)]
+
+    def inflated(self, factor: float) -> "Cloud":
+        """Return the cloud spread about its mean so that its covariance grows by a factor."""
+        center = self.mean()[:, None]
+        return replace(self, particles=center + jnp.sqrt(jnp.asarray(factor, self.particles.dtype)) * (self.particles - center))
+
+
+def draw(key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
+    """Draw n independent indices `(n,)` int32 with the given normalized log weights."""
+    edges = jnp.cumsum(jnp.exp(log_weights))
+    points = random.uniform(key, (n,), log_weights.dtype) * edges[-1]
+    return jnp.clip(jnp.searchsorted(edges, points, side="right"), 0, log_weights.shape[0] - 1).astype(jnp.int32)

@@ -1,0 +1,322 @@
+"""Laws given a state: what dynamics and sensors are.
+
+User functions have one signature, `f(x, u, t)`: one state `(x,)`, the inputs of the step, the step index. Every matrix may be an array
+or such a function. Methods that take `X` work on a whole cloud `(x, n)`.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg
+from motes.core.record import is_function, record, static
+from motes.core.types import MatrixLike, UserFunction
+from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak
+from motes.laws.law import Law, as_law
+
+
+def over_particles(function: UserFunction, X: jax.Array, u: Any, t: Any) -> jax.Array:
+    """Apply a user function to each particle of `X` `(x, n)`; the particle axis of the result is last."""
+    return jax.vmap(lambda x: jnp.asarray(function(x, u, t)).astype(X.dtype), in_axes=-1, out_axes=-1)(X)
+
+
+def matrix(value: MatrixLike, x: jax.Array, u: Any, t: Any) -> jax.Array:
+    """Evaluate a matrix that may be a user function at one state."""
+    return jnp.asarray(value(x, u, t) if callable(value) else value).astype(x.dtype)
+
+
+def matrix_over(value: MatrixLike, X: jax.Array, u: Any, t: Any) -> jax.Array:
+    """Evaluate a matrix at each particle: `(i, j)` when it is the same for all, otherwise `(i, j, n)`."""
+    if not callable(value):
+        return jnp.asarray(value).astype(X.dtype)
+    try:
+        # vmap itself knows whether the result depends on the particle: it refuses out_axes=None if so
+        return jax.vmap(lambda x: matrix(value, x, u, t), in_axes=-1, out_axes=None)(X)
+    except ValueError:
+        return over_particles(value, X, u, t)
+
+
+class Conditional(ABC):
+    """The law of a vector given a state, the inputs and the step index."""
+
+    angles: tuple[int, ...] = ()
+    marginalizes: bool = True
+    """Whether single missing (NaN) components can be left out of the density."""
+
+    @abstractmethod
+    def given(self, x: jax.Array, u: Any, t: Any) -> Law:
+        """Return the law given one state `(x,)`."""
+
+    @abstractmethod
+    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Draw one value for each particle, `(z, n)`, with one block of noise."""
+
+    @abstractmethod
+    def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Log density `(n,)` of a value `(z,)` or `(z, n)` given each particle."""
+
+    def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Largest value that `log_prob` can take for each particle, `()` or `(n,)`; infinite when not known."""
+        return jnp.full((), jnp.inf, X.dtype)
+
+    def mean(self, x: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Mean given one state, `(z,)`."""
+        return self.given(x, u, t).mean()
+
+    def cov(self, x: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Covariance given one state, `(z, z)`."""
+        return self.given(x, u, t).cov()
+
+    def residual(self, value: jax.Array, prediction: jax.Array) -> jax.Array:
+        """Difference `(z, *n)` of a value and a prediction, wrapped to (-pi, pi] where the component is an angle."""
+        return wrap(linalg.add_vectors(value, -prediction), self.angles)
+
+
+def wrap(difference: jax.Array, angles: tuple[int, ...]) -> jax.Array:
+    """Wrap the named rows of differences `(z, *n)` to (-pi, pi]; radians."""
+    if not angles:
+        return difference
+    turn = 2 * jnp.pi
+    rows = jnp.asarray(angles)
+    wrapped = difference[rows] - turn * jnp.ceil(difference[rows] / turn - 0.5)
+    return difference.at[rows].set(wrapped)
+
+
+def check_function(argument: str, value: Any) -> None:
+    """Refuse what cannot be called as a user function."""
+    if not callable(value):
+        checks.refuse(argument, "a function f(x, u, t) of one state", type(value).__name__)
+
+
+def check_matrix(argument: str, value: Any, shape: tuple[int | None, int | None] = (None, None)) -> Any:
+    """Return a matrix given as an array (checked, as floats) or as a function (left alone)."""
+    if callable(value):
+        return value
+    array = checks.as_float(argument, value)
+    checks.shape(argument, array, shape)
+    return array
+
+
+def check_noise_cov(argument: str, value: Any, definite: bool = False) -> Any:
+    """Return a noise covariance given as an array (checked, as floats) or as a function (left alone)."""
+    value = check_matrix(argument, value)
+    if not callable(value):
+        checks.covariance(argument, value, value.shape[0], definite)
+    return value
+
+
+@record
+class AdditiveGaussian(Conditional):
+    """f(x, u, t) plus Gaussian noise of covariance Q.
+
+    Attributes:
+        f: user function that returns `(z,)`.
+        Q: covariance `(z, z)` in squared units of z, or a function that returns it.
+        angles: components of z that are angles in radians: differences are wrapped.
+    """
+
+    f: UserFunction
+    Q: MatrixLike
+    angles: tuple[int, ...] = static(())
+
+    def __init__(self, f: UserFunction, Q: MatrixLike, angles: tuple[int, ...] = ()):
+        """Check what can be known without a model.
+
+        Raises:
+            MotesError: f is not callable, or Q is not a covariance.
+        """
+        check_function("AdditiveGaussian f", f)
+        object.__setattr__(self, "f", f)
+        object.__setattr__(self, "Q", check_noise_cov("AdditiveGaussian Q", Q))
+        object.__setattr__(self, "angles", tuple(angles))
+
+    def given(self, x: jax.Array, u: Any, t: Any) -> Gaussian:
+        """Return the Gaussian given one state."""
+        return Gaussian(self.mean(x, u, t), self.cov(x, u, t))
+
+    def mean(self, x: jax.Array, u: Any, t: Any) -> jax.Array:
+        """f(x, u, t), `(z,)`."""
+        return jnp.asarray(self.f(x, u, t)).astype(x.dtype)
+
+    def cov(self, x: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Q, `(z, z)`."""
+        return matrix(self.Q, x, u, t)
+
+    def means(self, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """f of each particle, `(z, n)`."""
+        return over_particles(self.f, X, u, t)
+
+    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Draw one value for each particle, `(z, n)`."""
+        return Gaussian(self.means(X, u, t), matrix_over(self.Q, X, u, t)).sample(key, X.shape[-1])
+
+    def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Log density given each particle; NaN components are left out."""
+        return log_normal(self.residual(value, self.means(X, u, t)), matrix_over(self.Q, X, u, t))
+
+    def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Log density at a perfect fit."""
+        return log_normal_peak(value, matrix_over(self.Q, X, u, t))
+
+
+@record
+class LinearGaussian(AdditiveGaussian):
+    """A x plus Gaussian noise of covariance Q.
+
+    Attributes:
+        A: `(z, x)`, or a function of (x, u, t) that returns it.
+        Q: covariance `(z, z)`, or a function that returns it.
+        angles: components of z that are angles in radians.
+    """
+
+    A: MatrixLike
+
+    def __init__(self, A: MatrixLike, Q: MatrixLike, angles: tuple[int, ...] = ()):
+        """Check what can be known without a model.
+
+        Raises:
+            MotesError: A is not a matrix, or Q is not a covariance of its number of rows.
+        """
+        A = check_matrix("LinearGaussian A", A)
+        AdditiveGaussian.__init__(self, _linear, Q, angles)
+        if not callable(A) and not callable(self.Q):
+            checks.shape("LinearGaussian Q", self.Q, (A.shape[0], A.shape[0]), "(rows of A)")
+        object.__setattr__(self, "A", A)
+
+    def mean(self, x: jax.Array, u: Any, t: Any) -> jax.Array:
+        """A x, `(z,)`."""
+        return matrix(self.A, x, u, t) @ x
+
+    def means(self, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """A x of each particle, `(z, n)`."""
+        return linalg.times_vector(matrix_over(self.A, X, u, t), X)
+
+
+def _linear(x: jax.Array, u: Any, t: Any) -> jax.Array:
+    raise AssertionError("LinearGaussian works with its matrix")
+
+
+@record
+class AdditiveNoise(Conditional):
+    """f(x, u, t) plus noise of any law.
+
+    Attributes:
+        f: user function that returns `(z,)`.
+        law: a law of z components, or an object with `sample(key, shape)` and `log_prob(x)` such as a numpyro distribution.
+        angles: components of z that are angles in radians.
+    """
+
+    f: UserFunction
+    law: Law
+    angles: tuple[int, ...] = static(())
+
+    def __init__(self, f: UserFunction, law: Any, angles: tuple[int, ...] = ()):
+        """Check what can be known without a model.
+
+        Raises:
+            MotesError: f is not callable, or law is not a law.
+        """
+        check_function("AdditiveNoise f", f)
+        object.__setattr__(self, "f", f)
+        object.__setattr__(self, "law", as_law("AdditiveNoise law", law))
+        object.__setattr__(self, "angles", tuple(angles))
+
+    @property
+    def marginalizes(self) -> bool:  # type: ignore[override]
+        """Only noise with independent components, or a Gaussian mixture, can leave one out."""
+        return self.law.independent or hasattr(self.law, "parts")
+
+    def given(self, x: jax.Array, u: Any, t: Any) -> Law:
+        """Return the law given one state."""
+        return Shifted(self.law, jnp.asarray(self.f(x, u, t)).astype(x.dtype))
+
+    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Draw one value for each particle, `(z, n)`."""
+        return over_particles(self.f, X, u, t) + self.law.sample(key, X.shape[-1]).astype(X.dtype)
+
+    def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Log density given each particle; NaN components are left out where `marginalizes`."""
+        return self.law.log_prob(self.residual(value, over_particles(self.f, X, u, t)))
+
+
+@record
+class Shifted(Law):
+    """A law moved by a vector.
+
+    Attributes:
+        law: the law of the difference.
+        by: `(x,)`.
+    """
+
+    law: Law
+    by: jax.Array
+
+    def mean(self) -> jax.Array:
+        """Mean, `(x,)`."""
+        return self.law.mean() + self.by
+
+    def cov(self) -> jax.Array:
+        """Covariance, `(x, x)`."""
+        return self.law.cov()
+
+    def sample(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n points, `(x, n)`."""
+        return self.law.sample(key, n) + self.by[:, None]
+
+    def log_prob(self, value: jax.Array) -> jax.Array:
+        """Log density at `(x,)` or `(x, n)`."""
+        return self.law.log_prob(linalg.add_vectors(value, -self.by))
+
+
+@record
+class Custom(Conditional):
+    """A conditional law in the user's own words.
+
+    Attributes:
+        sampler: `(key, x, u, t)` draws one value `(z,)`; needed of dynamics, and of a sensor that is simulated.
+        density: `(value, x, u, t)` gives the log density, one number; needed of a sensor.
+    """
+
+    sampler: Callable[..., jax.Array] | None
+    density: Callable[..., jax.Array] | None
+    marginalizes = False
+
+    def __init__(self, sample: Callable[..., jax.Array] | None = None, log_prob: Callable[..., jax.Array] | None = None):
+        """Check that at least one of the two functions is there.
+
+        Args:
+            sample: `(key, x, u, t)` to one value `(z,)`, or None.
+            log_prob: `(value, x, u, t)` to its log density, or None.
+
+        Raises:
+            MotesError: both are missing, or one is not callable.
+        """
+        if sample is None and log_prob is None:
+            checks.refuse("Custom", "sample, log_prob or both", "neither")
+        for name, value in (("sample", sample), ("log_prob", log_prob)):
+            if value is not None and not (is_function(value) or callable(value)):
+                checks.refuse(f"Custom {name}", "a function", type(value).__name__)
+        object.__setattr__(self, "sampler", sample)
+        object.__setattr__(self, "density", log_prob)
+
+    def given(self, x: jax.Array, u: Any, t: Any) -> Law:
+        """Refuse: moments are not known."""
+        checks.refuse("Custom", "a conditional with a mean and a covariance", "one with only sample and log_prob",
+                      "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter.")
+
+    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Draw one value for each particle; one key per particle, since the user's sampler takes one."""
+        if self.sampler is None:
+            checks.refuse("Custom", "a sample function (it is simulated here)", "None")
+        keys = jax.random.split(key, X.shape[-1])
+        return jax.vmap(lambda k, x: jnp.asarray(self.sampler(k, x, u, t)).astype(x.dtype), (0, -1), -1)(keys, X)
+
+    def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Log density given each particle."""
+        if self.density is None:
+            checks.refuse("Custom", "a log_prob function (its density is needed here)", "None")
+        per_value = None if value.ndim == 1 else -1
+        return jax.vmap(lambda v, x: jnp.asarray(self.density(v, x, u, t)).astype(x.dtype), (per_value, -1))(value, X)

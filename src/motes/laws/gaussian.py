@@ -1,0 +1,156 @@
+"""The Gaussian law: affine maps of it and conditioning on measurements; Kalman filters are written with these two alone."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core import checks, linalg, random
+from motes.core.record import record
+from motes.laws.law import Law
+
+_LOG_2PI = float(np.log(2 * np.pi))
+
+
+@record
+class Gaussian(Law):
+    """A Gaussian law, or a batch of n of them with the particle axis last.
+
+    Attributes:
+        center: mean, `(x,)` or `(x, n)`.
+        covariance: covariance, `(x, x)` (in a batch: shared by all) or `(x, x, n)`; positive semi-definite.
+    """
+
+    center: jax.Array
+    covariance: jax.Array
+
+    def __init__(self, mean: jax.Array, cov: jax.Array):
+        """Check shapes and, where the numbers are known, that the covariance is one.
+
+        Args:
+            mean: mean, `(x,)` or `(x, n)`.
+            cov: covariance, `(x, x)` or `(x, x, n)`.
+
+        Raises:
+            MotesError: shapes do not fit, numbers are not finite, or the covariance is not positive semi-definite.
+        """
+        center, covariance = checks.as_float("Gaussian mean", mean), checks.as_float("Gaussian cov", cov)
+        dtype = jnp.result_type(center, covariance)
+        if center.ndim not in (1, 2):
+            checks.refuse("Gaussian mean", "shape (x,) or (x, n)", f"shape {center.shape}")
+        if covariance.ndim == 2:
+            checks.covariance("Gaussian cov", covariance, center.shape[0])
+        else:
+            checks.shape("Gaussian cov", covariance, (center.shape[0], center.shape[0], center.shape[-1]))
+        checks.finite("Gaussian mean", center)
+        object.__setattr__(self, "center", center.astype(dtype))
+        object.__setattr__(self, "covariance", covariance.astype(dtype))
+
+    def mean(self) -> jax.Array:
+        """Mean, `(x,)` or `(x, n)`."""
+        return self.center
+
+    def cov(self) -> jax.Array:
+        """Covariance, `(x, x)` or `(x, x, n)`."""
+        return self.covariance
+
+    def sample(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n points `(x, n)`; a batch of n laws gives one point each."""
+        noise = random.normal(key, (self.center.shape[0], n), self.center.dtype)
+        return linalg.add_vectors(linalg.times_vector(linalg.cholesky(self.covariance), noise), self.center)
+
+    def log_prob(self, value: jax.Array) -> jax.Array:
+        """Log density at `(x,)` or `(x, n)`; NaN components are left out (the density of the rest)."""
+        return log_normal(linalg.add_vectors(value, -self.center), self.covariance)
+
+    def through(self, A: jax.Array, b: jax.Array, Q: jax.Array) -> "Gaussian":
+        """Return the law of A x + b + noise of covariance Q.
+
+        Args:
+            A: `(z, x, *n)`.
+            b: `(z, *n)`.
+            Q: `(z, z, *n)`.
+        """
+        moved = linalg.add_vectors(linalg.times_vector(A, self.center), b)
+        return Gaussian(moved, linalg.add(linalg.sandwich(A, self.covariance), Q))
+
+    def given(self, y: jax.Array, H: jax.Array, d: jax.Array, R: jax.Array) -> tuple["Gaussian", jax.Array]:
+        """Condition on a measurement y = H x + d + e, e of covariance R; NaN components of y are left out.
+
+        The covariance is kept in Joseph form, which stays positive semi-definite when R is tiny beside H P H'.
+
+        Args:
+            y: measurement, `(y,)` or `(y, n)`.
+            H: `(y, x, *n)`.
+            d: `(y, *n)`.
+            R: `(y, y, *n)`.
+
+        Returns:
+            The conditional law, and the log density of y before it was known, `()` or `(n,)`.
+        """
+        innovation = linalg.add_vectors(y, -linalg.add_vectors(linalg.times_vector(H, self.center), d))
+        return self.corrected(innovation, H, R)
+
+    def corrected(self, innovation: jax.Array, H: jax.Array, R: jax.Array) -> tuple["Gaussian", jax.Array]:
+        """Condition on an innovation that was formed outside (an angle wrapped, say); otherwise as `given`."""
+        innovation, seen = observed(innovation)
+        H = _rows(H, seen)
+        R = _among(R, seen)
+        P = self.covariance
+        cross = linalg.product(H, P)
+        factor = linalg.cholesky(linalg.symmetric(linalg.add(linalg.product(cross, linalg.transpose(H)), R)))
+        log_evidence = _log_density(innovation, factor, seen)
+        gain = linalg.transpose(linalg.solve(*_same_batch(factor, cross)))
+        center = linalg.add_vectors(linalg.times_vector(gain, innovation), self.center)
+        kept = linalg.add(linalg.identity_like(P), -linalg.product(gain, H))
+        joseph = linalg.add(linalg.sandwich(kept, P), linalg.sandwich(gain, R))
+        return Gaussian(center, joseph), log_evidence
+
+    def inflated(self, factor: float) -> "Gaussian":
+        """Return the law with its covariance times a factor."""
+        return Gaussian(self.center, self.covariance * factor)
+
+
+def observed(residual: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Split a residual `(y, *n)` with NaN at missing components into zeros there, and a mask of what was seen."""
+    seen = ~jnp.isnan(residual)
+    return jnp.where(seen, residual, 0), seen
+
+
+def log_normal(residual: jax.Array, cov: jax.Array) -> jax.Array:
+    """Log density of a zero-mean Gaussian at residuals `(y, *n)`; NaN components are left out."""
+    residual, seen = observed(residual)
+    return _log_density(residual, linalg.cholesky(_among(cov, seen)), seen)
+
+
+def log_normal_peak(residual: jax.Array, cov: jax.Array) -> jax.Array:
+    """Largest value that `log_normal` takes with the same missing components and covariance, `()` or `(n,)`."""
+    return log_normal(jnp.where(jnp.isnan(residual), residual, 0), cov)
+
+
+def _rows(H: jax.Array, seen: jax.Array) -> jax.Array:
+    if seen.ndim == 1:
+        return jnp.where(seen.reshape(-1, *([1] * (H.ndim - 1))), H, 0)
+    return jnp.where(seen[:, None], H if H.ndim == 3 else H[..., None], 0)
+
+
+def _among(R: jax.Array, seen: jax.Array) -> jax.Array:
+    """Covariance with missing components made independent of the rest, with variance one."""
+    both = seen[:, None] & seen[None]
+    unit = jnp.eye(R.shape[0], dtype=R.dtype)
+    if both.ndim == 3 or R.ndim == 3:
+        unit = unit[..., None]
+        both = both if both.ndim == 3 else both[..., None]
+        R = R if R.ndim == 3 else R[..., None]
+    return jnp.where(both, R, unit)
+
+
+def _log_density(residual: jax.Array, factor: jax.Array, seen: jax.Array) -> jax.Array:
+    white = linalg.solve_lower(*_same_batch(factor, residual, 1))
+    log_det = linalg.log_determinant(factor)
+    return -0.5 * (jnp.sum(white**2, axis=0) + log_det + _LOG_2PI * jnp.sum(seen, axis=0))
+
+
+def _same_batch(factor: jax.Array, b: jax.Array, small_axes: int = 2) -> tuple[jax.Array, jax.Array]:
+    if factor.ndim == 3 and b.ndim == small_axes:
+        b = b[..., None]
+    return factor, b

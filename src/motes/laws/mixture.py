@@ -1,0 +1,78 @@
+"""Mixtures of Gaussians."""
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, logspace, random
+from motes.core.record import record
+from motes.laws.cloud import draw, weighted_cov, weighted_mean
+from motes.laws.gaussian import Gaussian, log_normal
+from motes.laws.law import Law
+
+
+@record
+class Mixture(Law):
+    """A weighted sum of n Gaussians.
+
+    Attributes:
+        parts: batch of n Gaussians: means `(x, n)`, covariance `(x, x)` or `(x, x, n)`.
+        log_weights: normalized, `(n,)`.
+    """
+
+    parts: Gaussian
+    log_weights: jax.Array
+
+    @classmethod
+    def of(cls, weights: jax.Array, means: jax.Array, covs: jax.Array) -> "Mixture":
+        """Build a mixture from weights `(n,)`, means `(x, n)` and covariances `(x, x, n)`.
+
+        Raises:
+            MotesError: shapes do not fit, or weights are negative or all zero.
+        """
+        parts, amounts = Gaussian(means, covs), checks.as_float("Mixture weights", weights)
+        checks.shape("Mixture weights", amounts, (parts.center.shape[-1],), "(one weight per component)")
+        if checks.is_concrete(amounts) and not (bool((amounts >= 0).all()) and float(amounts.sum()) > 0):
+            checks.refuse("Mixture weights", "weights >= 0 with a positive sum", amounts.tolist())
+        return cls(parts, logspace.normalize(jnp.log(amounts.astype(parts.center.dtype)))[0])
+
+    @property
+    def weights(self) -> jax.Array:
+        """Weights that sum to one, `(n,)`."""
+        return jnp.exp(self.log_weights)
+
+    def mean(self) -> jax.Array:
+        """Mean, `(x,)`."""
+        return weighted_mean(self.parts.center, self.weights)
+
+    def cov(self) -> jax.Array:
+        """Covariance within and between the components, `(x, x)`."""
+        within = self.parts.covariance
+        inside = within @ self.weights if within.ndim == 3 else within
+        return inside + weighted_cov(self.parts.center, self.weights)
+
+    def sample(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n points, `(x, n)`."""
+        which = draw(random.child(key, 0), self.log_weights, n)
+        cov = self.parts.covariance
+        chosen = Gaussian(self.parts.center[:, which], cov[..., which] if cov.ndim == 3 else cov)
+        return chosen.sample(random.child(key, 1), n)
+
+    def log_prob(self, value: jax.Array) -> jax.Array:
+        """Log density at `(x,)` or `(x, n)`; NaN components are left out."""
+        shape = value.shape[1:]
+        points = value.reshape(value.shape[0], -1)
+        cov = self.parts.covariance
+        if cov.ndim == 2:
+            cov = jnp.broadcast_to(cov[..., None], (*cov.shape, self.log_weights.shape[0]))
+
+        def of_one(center: jax.Array, spread: jax.Array) -> jax.Array:
+            return log_normal(points - center[:, None], spread)
+
+        each = jax.vmap(of_one, in_axes=(-1, -1))(self.parts.center, cov)
+        return jax.nn.logsumexp(each + self.log_weights[:, None], axis=0).reshape(shape)
+
+    def inflated(self, factor: float) -> "Mixture":
+        """Return the mixture with each component's covariance times a factor and the means spread to match."""
+        center = self.mean()[:, None]
+        spread = center + jnp.sqrt(jnp.asarray(factor, center.dtype)) * (self.parts.center - center)
+        return Mixture(Gaussian(spread, linalg.symmetric(self.parts.covariance * factor)), self.log_weights)
