@@ -122,6 +122,6 @@ def solve(lower: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def log_determinant(lower: jax.Array) -> jax.Array:
-    """log det(L L') from the factor; a direction without variance does not count."""
+    """Log det(L L') from the factor; a direction without variance does not count."""
     diagonal = jnp.stack([lower[i, i] for i in range(lower.shape[0])])
     return 2 * jnp.sum(jnp.log(jnp.where(diagonal > 0, diagonal, 1)), axis=0)

@@ -48,6 +48,11 @@ def child(key: jax.Array, purpose: jax.Array | int) -> jax.Array:
     return _fold(key, jnp.asarray(purpose).astype(jnp.uint32), _CHILD_TAG)
 
 
+def split(key: jax.Array, n: int) -> jax.Array:
+    """Return n keys, for user functions that draw one value at a time (slow: prefer one block of noise)."""
+    return jax.random.split(key, n)
+
+
 def normal(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
     """Draw standard normal numbers, particle axis last.
 

@@ -56,6 +56,14 @@ class Cloud(Law):
         """Draw n particles with replacement, `(x, n)`."""
         return self.particles[:, draw(key, self.log_weights, n)]
 
+    def picked(self, ancestors: jax.Array) -> "Cloud":
+        """Return the cloud of the named particles `(n,)`, with equal weights."""
+        return Cloud(self.particles[:, ancestors], logspace.uniform_weights(ancestors.shape[0], self.particles.dtype), ancestors)
+
+    def unpicked(self) -> "Cloud":
+        """Return the cloud as it is, each particle its own ancestor."""
+        return replace(self, ancestors=jnp.arange(self.ancestors.shape[0], dtype=jnp.int32))
+
     def inflated(self, factor: float) -> "Cloud":
         """Return the cloud spread about its mean so that its covariance grows by a factor."""
         center = self.mean()[:, None]

@@ -11,8 +11,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, linalg
-from motes.core.record import is_function, record, static
+from motes.core import checks, linalg, random
+from motes.core.record import record, static
 from motes.core.types import MatrixLike, UserFunction
 from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak
 from motes.laws.law import Law, as_law
@@ -146,7 +146,7 @@ class AdditiveGaussian(Conditional):
         return matrix(self.Q, x, u, t)
 
     def means(self, X: jax.Array, u: Any, t: Any) -> jax.Array:
-        """f of each particle, `(z, n)`."""
+        """F of each particle, `(z, n)`."""
         return over_particles(self.f, X, u, t)
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
@@ -297,7 +297,7 @@ class Custom(Conditional):
         if sample is None and log_prob is None:
             checks.refuse("Custom", "sample, log_prob or both", "neither")
         for name, value in (("sample", sample), ("log_prob", log_prob)):
-            if value is not None and not (is_function(value) or callable(value)):
+            if value is not None and not callable(value):
                 checks.refuse(f"Custom {name}", "a function", type(value).__name__)
         object.__setattr__(self, "sampler", sample)
         object.__setattr__(self, "density", log_prob)
@@ -311,7 +311,7 @@ class Custom(Conditional):
         """Draw one value for each particle; one key per particle, since the user's sampler takes one."""
         if self.sampler is None:
             checks.refuse("Custom", "a sample function (it is simulated here)", "None")
-        keys = jax.random.split(key, X.shape[-1])
+        keys = random.split(key, X.shape[-1])
         return jax.vmap(lambda k, x: jnp.asarray(self.sampler(k, x, u, t)).astype(x.dtype), (0, -1), -1)(keys, X)
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:

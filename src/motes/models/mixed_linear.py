@@ -1,0 +1,176 @@
+"""Mixed linear models: all of x_k is linear-Gaussian once the path of x_p is known (Schon, Gustafsson, Nordlund 2005, model 3)."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, random
+from motes.core.record import record, static
+from motes.laws.conditional import AdditiveGaussian
+from motes.laws.gaussian import Gaussian
+from motes.laws.law import Law, as_law
+from motes.models.state_space import StateSpaceModel
+
+
+class Affine(NamedTuple):
+    """f + A x_k + noise of covariance Q, at one particle.
+
+    Attributes:
+        f: `(z,)`.
+        A: `(z, k)`.
+        Q: `(z, z)`.
+    """
+
+    f: jax.Array
+    A: jax.Array
+    Q: jax.Array
+
+
+AffineFunction = Callable[[jax.Array, Any, Any], tuple[jax.Array, jax.Array, jax.Array]]
+
+
+@record
+class MixedLinearModel:
+    """A model whose states are split into a particle part x_p and a Kalman part x_k.
+
+    Attributes:
+        initial_p: law of x_p at step 0, `(p,)`.
+        initial_k: law of x_k at step 0, `(k,)`, or (with `initial_gain`) its law given x_p at the mean of x_p.
+        particle: `(x_p, u, t)` to `(f, A, Q)`: x_p' = f + A x_k + noise.
+        kalman: `(x_p, u, t)` to `(f, A, Q)`: x_k' = f + A x_k + noise.
+        sensor: `(x_p, u, t)` to `(f, A, Q)`, that is `(h, C, R)`: y = h + C x_k + noise.
+        cross_cov: `(x_p, u, t)` to the covariance `(p, k)` of the two process noises, or None when they are independent.
+        initial_gain: `(k, p)`: the mean of x_k given x_p moves by this times the distance of x_p from its mean; None for no relation.
+        angles: components of y that are angles in radians.
+        linear: places of x_k in the user's order of states; x_p fills the rest in order. The last k by default.
+        names: names of all states in the user's order.
+    """
+
+    initial_p: Law
+    initial_k: Gaussian
+    particle: AffineFunction
+    kalman: AffineFunction
+    sensor: AffineFunction
+    cross_cov: Callable[[jax.Array, Any, Any], jax.Array] | None = None
+    initial_gain: jax.Array | None = None
+    angles: tuple[int, ...] = static(())
+    linear: tuple[int, ...] = static(())
+    names: tuple[str, ...] = static(())
+
+    def __post_init__(self) -> None:
+        """Fill in the order and the names.
+
+        Raises:
+            MotesError: a piece has the wrong kind, or there is nothing in one of the parts.
+        """
+        object.__setattr__(self, "initial_p", as_law("MixedLinearModel initial_p", self.initial_p))
+        if not isinstance(self.initial_k, Gaussian):
+            checks.refuse("MixedLinearModel initial_k", "a Gaussian", type(self.initial_k).__name__)
+        for name in ("particle", "kalman", "sensor"):
+            if not callable(getattr(self, name)):
+                checks.refuse(f"MixedLinearModel {name}", "a function (x_p, u, t) -> (f, A, Q)", type(getattr(self, name)).__name__)
+        size = self.sizes[0] + self.sizes[1]
+        if not self.linear:
+            object.__setattr__(self, "linear", tuple(range(self.sizes[0], size)))
+        names = tuple(self.names) or tuple(f"x{i}" for i in range(size))
+        if len(names) != size:
+            checks.refuse("MixedLinearModel names", f"{size} names", list(names))
+        object.__setattr__(self, "names", names)
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of states in the particle part and in the Kalman part."""
+        drawn = jax.eval_shape(lambda law: law.sample(jax.random.key(0), 1), self.initial_p)
+        return drawn.shape[0], self.initial_k.center.shape[0]
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return len(self.names)
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        """Floating type of the states."""
+        return self.initial_k.center.dtype
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """For each state in the user's order, its place in (x_p, x_k)."""
+        return user_order(self.linear, self.size)
+
+    def joined(self) -> StateSpaceModel:
+        """Return the same model as one state-space model in the user's order of states, for filters that do not split it."""
+        back = jnp.asarray(self.order)
+        kept = jnp.asarray([i for i in range(self.size) if i not in self.linear] + list(self.linear))
+        p = self.sizes[0]
+
+        def dynamics_mean(x: jax.Array, u: Any, t: Any) -> jax.Array:
+            x = x[kept]
+            parts = (self.particle(x[:p], u, t), self.kalman(x[:p], u, t))
+            return jnp.concatenate([f + A @ x[p:] for f, A, _ in parts])[back]
+
+        def dynamics_cov(x: jax.Array, u: Any, t: Any) -> jax.Array:
+            x_p = x[kept][:p]
+            Q_p, Q_k = self.particle(x_p, u, t)[2], self.kalman(x_p, u, t)[2]
+            cross = jnp.zeros((p, Q_k.shape[0]), x.dtype) if self.cross_cov is None else self.cross_cov(x_p, u, t)
+            return jnp.block([[Q_p, cross], [cross.T, Q_k]])[back][:, back]
+
+        def sensor_mean(x: jax.Array, u: Any, t: Any) -> jax.Array:
+            h, C, _ = self.sensor(x[kept][:p], u, t)
+            return h + C @ x[kept][p:]
+
+        return StateSpaceModel(
+            JoinedInitial(self.initial_p, self.initial_k, self.initial_gain, self.order),
+            AdditiveGaussian(dynamics_mean, dynamics_cov),
+            AdditiveGaussian(sensor_mean, lambda x, u, t: self.sensor(x[kept][:p], u, t)[2], self.angles),
+            self.names,
+        )
+
+
+@record
+class JoinedInitial(Law):
+    """The law of (x_p, x_k) at step 0 in the user's order; see `MixedLinearModel`."""
+
+    initial_p: Law
+    initial_k: Gaussian
+    gain: jax.Array | None
+    order: tuple[int, ...] = static()
+
+    def _gain(self) -> jax.Array:
+        p = self.initial_p.mean().shape[0]
+        k = self.initial_k.center.shape[0]
+        return jnp.zeros((k, p), self.initial_k.center.dtype) if self.gain is None else self.gain
+
+    def mean(self) -> jax.Array:
+        """Mean, `(x,)`."""
+        return jnp.concatenate([self.initial_p.mean(), self.initial_k.center])[jnp.asarray(self.order)]
+
+    def cov(self) -> jax.Array:
+        """Covariance, `(x, x)`."""
+        G, P = self._gain(), self.initial_p.cov()
+        joint = jnp.block([[P, P @ G.T], [G @ P, linalg.sandwich(G, P) + self.initial_k.covariance]])
+        order = jnp.asarray(self.order)
+        return joint[order][:, order]
+
+    def sample(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n points, `(x, n)`."""
+        x_p, means = initial_split(key, self.initial_p, self.initial_k, self.gain, n)
+        x_k = Gaussian(means, self.initial_k.covariance).sample(random.child(key, 1), n)
+        return jnp.concatenate([x_p, x_k])[jnp.asarray(self.order)]
+
+
+def initial_split(key: jax.Array, initial_p: Law, initial_k: Gaussian, gain: jax.Array | None, n: int) -> tuple[jax.Array, jax.Array]:
+    """Draw x_p `(p, n)` and give the mean of x_k `(k, n)` for each."""
+    x_p = initial_p.sample(random.child(key, 0), n)
+    means = jnp.broadcast_to(initial_k.center[:, None], (initial_k.center.shape[0], n))
+    if gain is None:
+        return x_p, means
+    return x_p, means + gain @ (x_p - initial_p.mean()[:, None])
+
+
+def user_order(linear: tuple[int, ...], size: int) -> tuple[int, ...]:
+    """For each of the states in the user's order, its place in (x_p, x_k)."""
+    particle = [i for i in range(size) if i not in linear]
+    return tuple(particle.index(i) if i in particle else len(particle) + linear.index(i) for i in range(size))

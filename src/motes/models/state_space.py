@@ -1,0 +1,228 @@
+"""State-space models: a law of the first state, dynamics from step to step, a sensor at each step.
+
+    x_0 ~ initial,   x_t ~ dynamics given (x_{t-1}, u_t, t),   y_t ~ sensor given (x_t, u_t, t),   t = 0, 1, ...
+
+The first measurement y_0 is of x_0, before any dynamics.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, random
+from motes.core.record import record, replace, static
+from motes.core.types import Inputs, KeyLike, MatrixLike
+from motes.laws.conditional import AdditiveGaussian, Conditional, check_matrix, matrix
+from motes.laws.gaussian import observed
+from motes.laws.law import Law, as_law
+
+
+@record
+class StateSpaceModel:
+    """What the world does.
+
+    Attributes:
+        initial: law of x_0, before y_0.
+        dynamics: law of x_t given x_{t-1}.
+        sensor: law of y_t given x_t.
+        names: names of the states; x0, x1, ... when not given.
+        noise_cross_cov: covariance `(x, y)` of the process noise that leads from t to t+1 with the measurement noise at t, an array
+            or a user function; None when they are independent. Both noises must then be additive Gaussian.
+    """
+
+    initial: Law
+    dynamics: Conditional
+    sensor: Conditional
+    names: tuple[str, ...] = static(())
+    noise_cross_cov: MatrixLike | None = None
+
+    def __init__(
+        self,
+        initial: Law,
+        dynamics: Conditional,
+        sensor: Conditional,
+        names: tuple[str, ...] = (),
+        noise_cross_cov: MatrixLike | None = None,
+    ):
+        """Check that the pieces fit each other, by running the user's functions on shapes alone.
+
+        Raises:
+            MotesError: a piece has the wrong kind, or a function returns the wrong shape; the message names it.
+        """
+        initial = as_law("StateSpaceModel initial", initial)
+        for name, value in (("dynamics", dynamics), ("sensor", sensor)):
+            if not isinstance(value, Conditional):
+                checks.refuse(f"StateSpaceModel {name}", "LinearGaussian, AdditiveGaussian, AdditiveNoise or Custom", type(value).__name__)
+        size = jax.eval_shape(lambda law: law.sample(jax.random.key(0), 1), initial).shape[0]
+        names = tuple(names) or tuple(f"x{i}" for i in range(size))
+        if len(names) != size or len(set(names)) != size:
+            checks.refuse("StateSpaceModel names", f"{size} different names, one per state", list(names))
+        if noise_cross_cov is not None:
+            noise_cross_cov = _checked_cross_cov(noise_cross_cov, dynamics, sensor, size)
+        given = {"initial": initial, "dynamics": dynamics, "sensor": sensor, "names": names, "noise_cross_cov": noise_cross_cov}
+        for name, value in given.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return len(self.names)
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        """Floating type of the states."""
+        return jax.eval_shape(lambda law: law.sample(jax.random.key(0), 1), self.initial).dtype
+
+    def index(self, state: str | int) -> int:
+        """Return the index of a state given by name or index.
+
+        Raises:
+            MotesError: there is no such state.
+        """
+        if isinstance(state, str) and state in self.names:
+            return self.names.index(state)
+        if not isinstance(state, str) and -self.size <= state < self.size:
+            return int(state) % self.size
+        checks.refuse("state", f"one of the names {', '.join(self.names)} or an index below {self.size}", repr(state))
+
+    def check(self, inputs_of_step: Inputs) -> None:
+        """Run dynamics and sensor on shapes alone and refuse what does not fit.
+
+        Raises:
+            MotesError: the dynamics do not return `(x,)`, or a covariance does not fit.
+        """
+        x = jax.ShapeDtypeStruct((self.size,), self.dtype)
+        t = jax.ShapeDtypeStruct((), jnp.int32)
+        for name, part, expected in (("dynamics", self.dynamics, self.size), ("sensor", self.sensor, None)):
+            if isinstance(part, AdditiveGaussian):
+                _check_moments(name, part, x, inputs_of_step, t, expected)
+            elif hasattr(part, "f"):
+                found = jax.eval_shape(lambda x, u, t, part=part: jnp.asarray(part.f(x, u, t)), x, inputs_of_step, t).shape
+                checks.shape(f"{name} f(x, u, t)", jnp.zeros(found), (expected,))
+
+
+def _check_moments(name: str, part: AdditiveGaussian, x: Any, u: Any, t: Any, expected: int | None) -> None:
+    moments = jax.eval_shape(lambda part, x, u, t: (part.mean(x, u, t), part.cov(x, u, t)), part, x, u, t)
+    mean, cov = (leaf.shape for leaf in moments)
+    if len(mean) != 1 or (expected is not None and mean[0] != expected):
+        wanted = f"({expected},)" if expected is not None else "(y,)"
+        checks.refuse(f"{name} f(x, u, t)", f"a vector of shape {wanted}", f"shape {mean}")
+    if cov != (mean[0], mean[0]):
+        checks.refuse(f"{name} Q", f"shape {(mean[0], mean[0])} (the size of its f)", f"shape {cov}")
+    if any(not -mean[0] <= a < mean[0] for a in part.angles):
+        checks.refuse(f"{name} angles", f"indices of the {mean[0]} components", list(part.angles))
+
+
+def _checked_cross_cov(value: MatrixLike, dynamics: Conditional, sensor: Conditional, size: int) -> MatrixLike:
+    if not (isinstance(dynamics, AdditiveGaussian) and isinstance(sensor, AdditiveGaussian)):
+        checks.refuse("noise_cross_cov", "dynamics and sensor with additive Gaussian noise",
+                      f"{type(dynamics).__name__} and {type(sensor).__name__}")
+    value = check_matrix("noise_cross_cov", value, (size, None))
+    known = (value, dynamics.Q, sensor.Q)
+    if not any(callable(v) for v in known) and checks.is_concrete(known):
+        checks.shape("noise_cross_cov", value, (size, sensor.Q.shape[0]), "(states, measurements)")
+        checks.covariance("noise_cross_cov (with Q and R as one joint covariance)",
+                          jnp.block([[dynamics.Q, value], [value.T, sensor.Q]]), size + value.shape[1])
+    return value
+
+
+class Previous(NamedTuple):
+    """Inputs of a step whose process noise knows the measurement before it."""
+
+    now: Inputs
+    before: Inputs
+    y: jax.Array
+
+
+def decorrelated(model: StateSpaceModel) -> StateSpaceModel:
+    """Return a model with independent noises that is equivalent given the measurements; its inputs are `Previous`.
+
+    With S the cross-covariance, the dynamics become x_t = f(x_{t-1}) + S R^-1 (y_{t-1} - h(x_{t-1})) + w, where w has the covariance
+    Q - S R^-1 S' and is independent of all measurement noise (Gram-Schmidt; paper 000, after its equation 5).
+    """
+    cross_cov, dynamics, sensor = model.noise_cross_cov, model.dynamics, model.sensor
+    if cross_cov is None:
+        return model
+
+    def gain(x: jax.Array, u: Previous, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return S R^-1 `(x, y)` with unseen components left out, the innovation, and S."""
+        innovation, seen = observed(sensor.residual(u.y, sensor.mean(x, u.before, t - 1)))
+        S = jnp.where(seen[None, :], matrix(cross_cov, x, u.now, t), 0)
+        R = jnp.where(seen[:, None] & seen[None, :], sensor.cov(x, u.before, t - 1), jnp.eye(seen.shape[0], dtype=x.dtype))
+        return linalg.solve(linalg.cholesky(R), S.T).T, innovation, S
+
+    def mean(x: jax.Array, u: Previous, t: Any) -> jax.Array:
+        pull, innovation, _ = gain(x, u, t)
+        return dynamics.mean(x, u.now, t) + pull @ innovation
+
+    def cov(x: jax.Array, u: Previous, t: Any) -> jax.Array:
+        pull, _, S = gain(x, u, t)
+        return dynamics.cov(x, u.now, t) - linalg.symmetric(pull @ S.T)
+
+    seen_now = AdditiveGaussian(
+        lambda x, u, t: sensor.mean(x, u.now, t),
+        (lambda x, u, t: sensor.cov(x, u.now, t)) if callable(sensor.Q) else sensor.Q,  # type: ignore[attr-defined]
+        sensor.angles,
+    )
+    return replace(model, dynamics=AdditiveGaussian(mean, cov, dynamics.angles), sensor=seen_now, noise_cross_cov=None)
+
+
+def measurement_size(model: StateSpaceModel, inputs_of_step: Inputs) -> int | None:
+    """Number of measured components, or None where only the data can tell (a custom density)."""
+    part = model.sensor
+    if not hasattr(part, "f"):
+        return None
+    x = jax.ShapeDtypeStruct((model.size,), model.dtype)
+    t = jax.ShapeDtypeStruct((), jnp.int32)
+    return jax.eval_shape(lambda part, x, u, t: part.given(x, u, t).mean(), part, x, inputs_of_step, t).shape[0]
+
+
+def step_inputs(inputs: Inputs, step: jax.Array | int) -> Inputs:
+    """Return the inputs of one step from a tree with the time axis first."""
+    return jax.tree.map(lambda leaf: leaf[step], inputs)
+
+
+def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:
+    """Draw a trajectory and its measurements.
+
+    Args:
+        key: JAX key or integer seed.
+        model: state-space or mixed linear model.
+        steps: number of steps t.
+        inputs: tree with the time axis first, or None.
+
+    Returns:
+        States `(t, x)` and measurements `(t, y)`.
+
+    Raises:
+        MotesError: steps is not a positive whole number, or the model does not fit together.
+    """
+    checks.positive_integer("simulate steps", steps)
+    key = random.as_key(key)
+    plain = model if isinstance(model, StateSpaceModel) else model.joined()
+    plain.check(step_inputs(inputs, 0))
+    return _simulate(key, plain, steps, inputs)
+
+
+def _simulate(key: jax.Array, model: StateSpaceModel, steps: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
+    separate = decorrelated(model)
+    correlated = model.noise_cross_cov is not None
+
+    def measure(x: jax.Array, t: Any, u: Inputs) -> jax.Array:
+        keyed = random.child(random.step_key(key, t), random.MEASURE)
+        return model.sensor.sample(keyed, x[:, None], u, t)[:, 0]
+
+    def advance(carry: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple[Any, Any]:
+        x, y = carry
+        u = step_inputs(inputs, t)
+        driven = Previous(u, step_inputs(inputs, t - 1), y) if correlated else u
+        keyed = random.child(random.step_key(key, t), random.PREDICT)
+        x = separate.dynamics.sample(keyed, x[:, None], driven, t)[:, 0]
+        y = measure(x, t, u)
+        return (x, y), (x, y)
+
+    x = model.initial.sample(random.child(random.step_key(key, 0), random.INITIAL), 1)[:, 0]
+    y = measure(x, jnp.int32(0), step_inputs(inputs, 0))
+    _, (xs, ys) = jax.lax.scan(advance, (x, y), jnp.arange(1, steps, dtype=jnp.int32))
+    return jnp.concatenate([x[None], xs]), jnp.concatenate([y[None], ys])

@@ -1,0 +1,112 @@
+"""When to resample: a value apart from how (schemes.py)."""
+
+from abc import ABC, abstractmethod
+from typing import Protocol, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, logspace
+from motes.core.record import record
+from motes.resampling.schemes import Scheme
+
+
+class Policy(ABC):
+    """Decides from the weights whether to resample."""
+
+    @abstractmethod
+    def needed(self, log_weights: jax.Array) -> jax.Array | bool:
+        """Tell whether to resample, from normalized log weights `(n,)`."""
+
+
+@record
+class Always(Policy):
+    """Resample at every step (SIR, the bootstrap filter of Gordon, Salmond, Smith 1993)."""
+
+    def needed(self, log_weights: jax.Array) -> bool:
+        """Yes."""
+        return True
+
+
+@record
+class Never(Policy):
+    """Never resample (sequential importance sampling); weights degenerate in time."""
+
+    def needed(self, log_weights: jax.Array) -> bool:
+        """No."""
+        return False
+
+
+@record
+class ESS(Policy):
+    """Resample when the effective sample size falls below a share of n (the generic filter of paper 001).
+
+    Attributes:
+        share: between 0 and 1.
+    """
+
+    share: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse shares outside (0, 1]."""
+        _check_range("ESS share", self.share, 1.0)
+
+    def needed(self, log_weights: jax.Array) -> jax.Array:
+        """Compare the effective sample size with the share."""
+        return logspace.effective_size(log_weights) < self.share * log_weights.shape[0]
+
+
+@record
+class Entropy(Policy):
+    """Resample when log n minus the entropy of the weights exceeds a threshold (paper 003, criterion Ent).
+
+    Attributes:
+        threshold: in nats; 0.25 leaves 78 percent of the particles effective, 0.7 half of them.
+    """
+
+    threshold: float = 0.7
+
+    def __post_init__(self) -> None:
+        """Refuse thresholds that are not positive."""
+        _check_range("Entropy threshold", self.threshold, float("inf"))
+
+    def needed(self, log_weights: jax.Array) -> jax.Array:
+        """Compare the entropy deficit with the threshold."""
+        return logspace.entropy_deficit(log_weights) > self.threshold
+
+
+def _check_range(argument: str, value: float, top: float) -> None:
+    if checks.is_concrete(value) and not 0 < value <= top:
+        checks.refuse(argument, f"a number above 0 and at most {top}", value)
+
+
+class Weighted(Protocol):
+    """A law of n weighted particles of any kind."""
+
+    @property
+    def log_weights(self) -> jax.Array:
+        """Normalized, `(n,)`."""
+        ...
+
+    def picked(self, ancestors: jax.Array) -> "Weighted":
+        """Return the law of the named particles `(n,)`, with equal weights."""
+        ...
+
+    def unpicked(self) -> "Weighted":
+        """Return the law as it is, each particle its own ancestor."""
+        ...
+
+
+W = TypeVar("W", bound=Weighted)
+
+
+def resample(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W) -> W:
+    """Return the cloud resampled where the policy says so; the law it stands for is unchanged on average."""
+
+    def chosen() -> W:
+        return cloud.picked(scheme.ancestors(key, cloud.log_weights, cloud.log_weights.shape[0]))  # type: ignore[return-value]
+
+    needed = policy.needed(cloud.log_weights)
+    if isinstance(needed, bool):
+        return chosen() if needed else cloud.unpicked()  # type: ignore[return-value]
+    return jax.lax.cond(jnp.asarray(needed), chosen, cloud.unpicked)

@@ -1,0 +1,132 @@
+"""How ancestors are drawn. Every scheme is unbiased: particle i gets n w_i children on average; indices come out in order, int32.
+
+No scheme trusts a float32 cumulative sum: n w is split into whole numbers, summed exactly, and fractions, summed in short blocks, so that
+every boundary is right to about 1e-3 children up to 1e7 particles (Douc, Cappe, Moulines 2005 compare the schemes).
+"""
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import random
+from motes.core.record import record
+
+_BLOCK = 1024
+
+
+class Scheme(ABC):
+    """A way of drawing ancestors."""
+
+    @abstractmethod
+    def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
+        """Draw n ancestors.
+
+        Args:
+            key: JAX key.
+            log_weights: normalized log weights, any number of them.
+            n: number of children.
+
+        Returns:
+            Indices `(n,)` int32, non-decreasing.
+        """
+
+
+class Boundaries(NamedTuple):
+    """Cumulative sums of n w in two parts, whole and small, one entry per particle; a boundary is their sum."""
+
+    whole: jax.Array
+    part: jax.Array
+    last: jax.Array
+    """Index of the last particle with any weight."""
+
+
+def boundaries(log_weights: jax.Array, n: int) -> Boundaries:
+    """Sum n w without losing what float32 loses."""
+    weights = jnp.exp(log_weights)
+    expected = weights * (n / jnp.sum(weights))
+    floors = jnp.floor(expected)
+    count = weights.shape[0]
+    blocks = -(-count // _BLOCK)
+    fractions = jnp.pad(expected - floors, (0, blocks * _BLOCK - count)).reshape(blocks, _BLOCK)
+    within = jnp.cumsum(fractions, axis=1)
+    before_whole = jnp.floor(within[:, -1])
+    before_part = within[:, -1] - before_whole
+    carried = jnp.cumsum(before_whole.astype(jnp.int32)) - before_whole.astype(jnp.int32)
+    part = within + (jnp.cumsum(before_part) - before_part)[:, None]
+    whole = jnp.cumsum(floors.astype(jnp.int32)) + jnp.repeat(carried, _BLOCK, total_repeat_length=blocks * _BLOCK)[:count]
+    last = jnp.max(jnp.where(weights > 0, jnp.arange(count, dtype=jnp.int32), 0))
+    return Boundaries(whole, part.reshape(-1)[:count], last)
+
+
+def ancestors_from_ends(ends: jax.Array, n: int, last: jax.Array) -> jax.Array:
+    """Turn cumulative numbers of children (one per particle) into ancestors `(n,)`: each end raises the index by one."""
+    raised = jnp.zeros((n,), jnp.int32).at[ends].add(1, mode="drop")
+    return jnp.minimum(jnp.cumsum(raised), last).astype(jnp.int32)
+
+
+@record
+class Systematic(Scheme):
+    """One uniform number for all: n equally spaced points; each count is within one of n w (Kitagawa 1996)."""
+
+    def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
+        """Draw n ancestors; see `Scheme`."""
+        return self.at(random.uniform(key, (), log_weights.dtype), log_weights, n)
+
+    def at(self, u: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
+        """Give the ancestors that belong to the uniform number u in [0, 1)."""
+        edge = boundaries(log_weights, n)
+        return ancestors_from_ends(edge.whole + jnp.ceil(edge.part - u).astype(jnp.int32), n, edge.last)
+
+
+@record
+class Stratified(Scheme):
+    """One uniform number in each of n equal strata (Kitagawa 1996)."""
+
+    def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
+        """Draw n ancestors; see `Scheme`."""
+        points = random.uniform(key, (n,), log_weights.dtype)
+        edge = boundaries(log_weights, n)
+        floor = jnp.floor(edge.part)
+        stratum = edge.whole + floor.astype(jnp.int32)
+        beyond = edge.part - floor > points[jnp.clip(stratum, 0, n - 1)]
+        return ancestors_from_ends(stratum + beyond, n, edge.last)
+
+
+@record
+class Multinomial(Scheme):
+    """Independent draws; the simplest and the noisiest. It searches, hence is slower than the others."""
+
+    def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
+        """Draw n ancestors; see `Scheme`."""
+        weights = jnp.exp(log_weights)
+        counts = _independent_counts(key, weights, n, jnp.int32(n))
+        return ancestors_from_ends(jnp.cumsum(counts), n, _last(weights))
+
+
+@record
+class Residual(Scheme):
+    """The whole part of n w for certain, the rest by independent draws (Liu, Chen 1998). It searches, as `Multinomial` does."""
+
+    def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
+        """Draw n ancestors; see `Scheme`."""
+        weights = jnp.exp(log_weights)
+        expected = weights * (n / jnp.sum(weights))
+        certain = jnp.floor(expected).astype(jnp.int32)
+        counts = certain + _independent_counts(key, expected - certain, n, n - jnp.sum(certain))
+        return ancestors_from_ends(jnp.cumsum(counts), n, _last(weights))
+
+
+def _independent_counts(key: jax.Array, amounts: jax.Array, n: int, draws: jax.Array) -> jax.Array:
+    """Count how often each index comes up in `draws` (at most n) independent draws in proportion to the amounts."""
+    edges = jax.lax.cummax(jnp.cumsum(amounts))
+    points = random.uniform(key, (n,), amounts.dtype) * edges[-1]
+    chosen = jnp.searchsorted(edges, points, side="right")
+    chosen = jnp.minimum(chosen, _last(amounts))
+    used = jnp.arange(n) < draws
+    return jnp.zeros(amounts.shape, jnp.int32).at[chosen].add(used.astype(jnp.int32))
+
+
+def _last(amounts: jax.Array) -> jax.Array:
+    return jnp.max(jnp.where(amounts > 0, jnp.arange(amounts.shape[0], dtype=jnp.int32), 0))
