@@ -26,7 +26,8 @@ def product(a: jax.Array, b: jax.Array) -> jax.Array:
     if a.ndim == 2:
         return jnp.tensordot(a, b, 1, precision=_EXACT)
     a, b = _align(a, b, 2)
-    return sum((a[:, j, None] * b[j, None] for j in range(1, a.shape[1])), a[:, 0, None] * b[0, None])
+    start = jnp.zeros((a.shape[0], *b.shape[1:]), a.dtype)
+    return _total([a[:, j, None] * b[j, None] for j in range(a.shape[1])], start)
 
 
 def times_vector(a: jax.Array, v: jax.Array) -> jax.Array:
@@ -34,7 +35,13 @@ def times_vector(a: jax.Array, v: jax.Array) -> jax.Array:
     if a.ndim == 2:
         return jnp.matmul(a, v, precision=_EXACT)
     a, v = _align(a, v, 1)
-    return sum((a[:, j] * v[j] for j in range(1, a.shape[1])), a[:, 0] * v[0])
+    start = jnp.zeros((a.shape[0], *v.shape[1:]), a.dtype)
+    return _total([a[:, j] * v[j] for j in range(a.shape[1])], start)
+
+
+def _total(terms: list[jax.Array], start: jax.Array) -> jax.Array:
+    """Sum of terms; `start` stands for an empty sum (a part without states)."""
+    return sum(terms[1:], terms[0]) if terms else start
 
 
 def transpose(a: jax.Array) -> jax.Array:
@@ -76,6 +83,8 @@ def cholesky(a: jax.Array) -> jax.Array:
     A pivot that is zero up to rounding gives a zero column, so that a direction without variance stays exactly without.
     """
     size = a.shape[0]
+    if size == 0:
+        return a
     tolerance = 4 * size * float(jnp.finfo(a.dtype).eps)
     columns: list[jax.Array] = []
     for j in range(size):
@@ -97,7 +106,7 @@ def solve_lower(lower: jax.Array, b: jax.Array) -> jax.Array:
         for j, row in enumerate(rows):
             rest = rest - lower[i, j] * row
         rows.append(rest * _inverse_pivot(lower[i, i]))
-    return jnp.stack(rows)
+    return jnp.stack(rows) if rows else b
 
 
 def solve_upper(lower: jax.Array, b: jax.Array) -> jax.Array:
@@ -109,7 +118,7 @@ def solve_upper(lower: jax.Array, b: jax.Array) -> jax.Array:
         for j in range(i + 1, size):
             rest = rest - lower[j, i] * rows[j]
         rows[i] = rest * _inverse_pivot(lower[i, i])
-    return jnp.stack([rows[i] for i in range(size)])
+    return jnp.stack([rows[i] for i in range(size)]) if rows else b
 
 
 def _inverse_pivot(pivot: jax.Array) -> jax.Array:

@@ -155,11 +155,11 @@ class AdditiveGaussian(Conditional):
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density given each particle; NaN components are left out."""
-        return log_normal(self.residual(value, self.means(X, u, t)), matrix_over(self.Q, X, u, t))
+        return log_normal(self.residual(value, self.means(X, u, t)), matrix_over(self.Q, X, u, t), ~jnp.isnan(value))
 
     def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density at a perfect fit."""
-        return log_normal_peak(value, matrix_over(self.Q, X, u, t))
+        return log_normal_peak(value, matrix_over(self.Q, X, u, t), ~jnp.isnan(value))
 
 
 @record
@@ -239,7 +239,10 @@ class AdditiveNoise(Conditional):
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density given each particle; NaN components are left out where `marginalizes`."""
-        return self.law.log_prob(self.residual(value, over_particles(self.f, X, u, t)))
+        residual = self.residual(value, over_particles(self.f, X, u, t))
+        # a prediction that is not a number is no missing measurement
+        known = jnp.isnan(residual) & ~(jnp.isnan(value) if value.ndim == 2 else jnp.isnan(value)[:, None])
+        return jnp.where(jnp.any(known, axis=0), jnp.nan, self.law.log_prob(residual))
 
 
 @record

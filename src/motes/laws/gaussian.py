@@ -1,5 +1,7 @@
 """The Gaussian law: affine maps of it and conditioning on measurements; Kalman filters are written with these two alone."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -60,7 +62,7 @@ class Gaussian(Law):
 
     def log_prob(self, value: jax.Array) -> jax.Array:
         """Log density at `(x,)` or `(x, n)`; NaN components are left out (the density of the rest)."""
-        return log_normal(linalg.add_vectors(value, -self.center), self.covariance)
+        return log_normal(linalg.add_vectors(value, -self.center), self.covariance, ~jnp.isnan(value))
 
     def through(self, A: jax.Array, b: jax.Array, Q: jax.Array) -> "Gaussian":
         """Return the law of A x + b + noise of covariance Q.
@@ -87,54 +89,78 @@ class Gaussian(Law):
         Returns:
             The conditional law, and the log density of y before it was known, `()` or `(n,)`.
         """
-        innovation = linalg.add_vectors(y, -linalg.add_vectors(linalg.times_vector(H, self.center), d))
-        return self.corrected(innovation, H, R)
+        prediction = linalg.add_vectors(linalg.times_vector(H, self.center), d)
+        corrected = self.corrected(linalg.add_vectors(y, -prediction), H, R, ~jnp.isnan(y))
+        return corrected.law, corrected.log_evidence
 
-    def corrected(self, innovation: jax.Array, H: jax.Array, R: jax.Array) -> tuple["Gaussian", jax.Array]:
-        """Condition on an innovation that was formed outside (an angle wrapped, say); otherwise as `given`."""
-        innovation, seen = observed(innovation)
-        H = _rows(H, seen)
-        R = _among(R, seen)
+    def corrected(self, innovation: jax.Array, H: jax.Array, R: jax.Array, seen: jax.Array | None = None) -> "Correction":
+        """Condition on an innovation that was formed outside (an angle wrapped, say); otherwise as `given`.
+
+        Args:
+            innovation: `(y, *n)`.
+            H: `(y, x, *n)`.
+            R: `(y, y, *n)`.
+            seen: which components were measured, `(y,)` or `(y, n)`; None for all.
+        """
+        if seen is not None:
+            innovation, H, R = _zeroed(innovation, seen), _zeroed(H, seen), _among(R, seen)
         P = self.covariance
         cross = linalg.product(H, P)
         factor = linalg.cholesky(linalg.symmetric(linalg.add(linalg.product(cross, linalg.transpose(H)), R)))
-        log_evidence = _log_density(innovation, factor, seen)
+        log_evidence, peak = _log_density(innovation, factor, seen)
         gain = linalg.transpose(linalg.solve(*_same_batch(factor, cross)))
-        center = linalg.add_vectors(linalg.times_vector(gain, innovation), self.center)
+        usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
+        center = linalg.add_vectors(linalg.times_vector(gain, usable), self.center)
         kept = linalg.add(linalg.identity_like(P), -linalg.product(gain, H))
         joseph = linalg.add(linalg.sandwich(kept, P), linalg.sandwich(gain, R))
-        return Gaussian(center, joseph), log_evidence
+        return Correction(Gaussian(center, joseph), log_evidence, peak)
 
     def inflated(self, factor: float) -> "Gaussian":
         """Return the law with its covariance times a factor."""
         return Gaussian(self.center, self.covariance * factor)
 
 
-def observed(residual: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Split a residual `(y, *n)` with NaN at missing components into zeros there, and a mask of what was seen."""
-    seen = ~jnp.isnan(residual)
-    return jnp.where(seen, residual, 0), seen
+class Correction(NamedTuple):
+    """What conditioning a Gaussian gives.
+
+    Attributes:
+        law: the conditional law.
+        log_evidence: log density of the measurement before it was known, `()` or `(n,)`; NaN where the prediction is not a number.
+        peak: the same for a perfect prediction; half the squared Mahalanobis distance is the difference.
+    """
+
+    law: Gaussian
+    log_evidence: jax.Array
+    peak: jax.Array
 
 
-def log_normal(residual: jax.Array, cov: jax.Array) -> jax.Array:
-    """Log density of a zero-mean Gaussian at residuals `(y, *n)`; NaN components are left out."""
-    residual, seen = observed(residual)
-    return _log_density(residual, linalg.cholesky(_among(cov, seen)), seen)
+def log_normal(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:
+    """Log density of a zero-mean Gaussian at residuals `(y, *n)`, of the components in `seen` (`(y,)`, `(y, n)`, None for all)."""
+    return _log_density(*_reduced(residual, cov, seen), seen)[0]
 
 
-def log_normal_peak(residual: jax.Array, cov: jax.Array) -> jax.Array:
-    """Largest value that `log_normal` takes with the same missing components and covariance, `()` or `(n,)`."""
-    return log_normal(jnp.where(jnp.isnan(residual), residual, 0), cov)
+def log_normal_peak(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:
+    """Largest value that `log_normal` takes with the same covariance and components, `()` or `(n,)`."""
+    return _log_density(*_reduced(residual, cov, seen), seen)[1]
 
 
-def _rows(H: jax.Array, seen: jax.Array) -> jax.Array:
+def _reduced(residual: jax.Array, cov: jax.Array, seen: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+    if seen is None:
+        return residual, linalg.cholesky(cov)
+    return _zeroed(residual, seen), linalg.cholesky(_among(cov, seen))
+
+
+def _zeroed(rows: jax.Array, seen: jax.Array) -> jax.Array:
+    """Rows `(y, ..., *n)` with zeros where the component is not seen."""
     if seen.ndim == 1:
-        return jnp.where(seen.reshape(-1, *([1] * (H.ndim - 1))), H, 0)
-    return jnp.where(seen[:, None], H if H.ndim == 3 else H[..., None], 0)
+        return jnp.where(seen.reshape(-1, *([1] * (rows.ndim - 1))), rows, 0)
+    if rows.ndim == 2 and rows.shape != seen.shape:
+        rows = rows[..., None]
+    return jnp.where(seen if rows.ndim == 2 else seen[:, None], rows, 0)
 
 
 def _among(R: jax.Array, seen: jax.Array) -> jax.Array:
-    """Covariance with missing components made independent of the rest, with variance one."""
+    """Covariance with unseen components made independent of the rest, with variance one."""
     both = seen[:, None] & seen[None]
     unit = jnp.eye(R.shape[0], dtype=R.dtype)
     if both.ndim == 3 or R.ndim == 3:
@@ -144,10 +170,11 @@ def _among(R: jax.Array, seen: jax.Array) -> jax.Array:
     return jnp.where(both, R, unit)
 
 
-def _log_density(residual: jax.Array, factor: jax.Array, seen: jax.Array) -> jax.Array:
+def _log_density(residual: jax.Array, factor: jax.Array, seen: jax.Array | None) -> tuple[jax.Array, jax.Array]:
     white = linalg.solve_lower(*_same_batch(factor, residual, 1))
-    log_det = linalg.log_determinant(factor)
-    return -0.5 * (jnp.sum(white**2, axis=0) + log_det + _LOG_2PI * jnp.sum(seen, axis=0))
+    components = residual.shape[0] if seen is None else jnp.sum(seen, axis=0)
+    peak = -0.5 * (linalg.log_determinant(factor) + _LOG_2PI * components)
+    return peak - 0.5 * jnp.sum(white**2, axis=0), peak
 
 
 def _same_batch(factor: jax.Array, b: jax.Array, small_axes: int = 2) -> tuple[jax.Array, jax.Array]:

@@ -66,7 +66,7 @@ class Mixture(Law):
             cov = jnp.broadcast_to(cov[..., None], (*cov.shape, self.log_weights.shape[0]))
 
         def of_one(center: jax.Array, spread: jax.Array) -> jax.Array:
-            return log_normal(points - center[:, None], spread)
+            return log_normal(points - center[:, None], spread, ~jnp.isnan(points))
 
         each = jax.vmap(of_one, in_axes=(-1, -1))(self.parts.center, cov)
         return jax.nn.logsumexp(each + self.log_weights[:, None], axis=0).reshape(shape)

@@ -14,7 +14,6 @@ from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, KeyLike, MatrixLike
 from motes.laws.conditional import AdditiveGaussian, Conditional, check_matrix, matrix
-from motes.laws.gaussian import observed
 from motes.laws.law import Law, as_law
 
 
@@ -147,7 +146,8 @@ def decorrelated(model: StateSpaceModel) -> StateSpaceModel:
 
     def gain(x: jax.Array, u: Previous, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Return S R^-1 `(x, y)` with unseen components left out, the innovation, and S."""
-        innovation, seen = observed(sensor.residual(u.y, sensor.mean(x, u.before, t - 1)))
+        seen = ~jnp.isnan(u.y)
+        innovation = jnp.where(seen, sensor.residual(u.y, sensor.mean(x, u.before, t - 1)), 0)
         S = jnp.where(seen[None, :], matrix(cross_cov, x, u.now, t), 0)
         R = jnp.where(seen[:, None] & seen[None, :], sensor.cov(x, u.before, t - 1), jnp.eye(seen.shape[0], dtype=x.dtype))
         return linalg.solve(linalg.cholesky(R), S.T).T, innovation, S

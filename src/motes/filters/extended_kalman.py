@@ -1,0 +1,54 @@
+"""Extended Kalman filter: the Kalman filter on the model linearized at its own estimate (Jacobians by automatic differentiation).
+
+Predict: the mean goes through f, the covariance through the slope F of f there: P <- F P F' + Q. Correct: condition on the innovation
+y - h(mean) with the slope H of h there. On a linear model it is the Kalman filter.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg
+from motes.core.record import record
+from motes.filters.interface import Info, TwoStageFilter, as_state_space, single
+from motes.laws.gaussian import Gaussian
+from motes.models.linearize import affine, has_moments
+from motes.models.state_space import StateSpaceModel
+
+
+@record
+class ExtendedKalmanFilter(TwoStageFilter):
+    """Extended Kalman filter; its state is a `Gaussian`."""
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for means and covariances of dynamics and sensor.
+
+        Raises:
+            MotesError: one of them is a Custom conditional.
+        """
+        model = as_state_space("ExtendedKalmanFilter", model)
+        for name in ("dynamics", "sensor"):
+            if not has_moments(getattr(model, name)):
+                checks.refuse(
+                    f"ExtendedKalmanFilter {name}",
+                    "a mean function and a noise covariance (it uses the Jacobian)",
+                    type(getattr(model, name)).__name__,
+                    "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter.",
+                )
+        return model
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Gaussian:
+        """Return the Gaussian with the moments of the initial law."""
+        return Gaussian(model.initial.mean(), model.initial.cov())
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
+        """Move mean and covariance to time t."""
+        center, F, Q = affine(model.dynamics, state.center, u, t)
+        return Gaussian(center, linalg.sandwich(F, state.covariance) + Q)
+
+    def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
+        """Condition on y."""
+        prediction, H, R = affine(model.sensor, state.center, u, t)
+        done = state.corrected(model.sensor.residual(y, prediction), H, R, ~jnp.isnan(y))
+        return done.law, single(done.log_evidence, done.peak)

@@ -1,0 +1,165 @@
+"""The contract of a filter: a frozen record of its own knobs that maps a law to a law. The model is an argument, never a field."""
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, logspace, random
+from motes.core.record import record, replace, static
+from motes.models.mixed_linear import MixedLinearModel
+from motes.models.state_space import StateSpaceModel
+
+HOPELESS = 1e4
+"""A measurement this many nats below a perfect fit (141 standard deviations) for the best particle counts as a collapse."""
+
+INFLATION = 4.0
+"""Factor on the covariance when a filter answers a collapse by inflating."""
+
+
+@record
+class Info:
+    """What a reader wants to know of one step; the next step does not need it.
+
+    Attributes:
+        log_evidence: log density of the measurement given those before it; 0 when nothing was measured.
+        ess: effective sample size after the measurement; infinite for laws without sampling error.
+        collapsed: whether all weights vanished, so that the measurement was not used.
+        invalid: number of particles whose likelihood was not a number; they get no weight.
+        lowest: smallest log likelihood over the particles.
+        highest: largest log likelihood over the particles.
+    """
+
+    log_evidence: jax.Array
+    ess: jax.Array
+    collapsed: jax.Array
+    invalid: jax.Array
+    lowest: jax.Array
+    highest: jax.Array
+
+
+def weigh(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, Info]:
+    """Multiply weights by likelihoods, and judge whether that is still meaningful.
+
+    Weights have collapsed when they sum to nothing or to infinity, when the best particle is `HOPELESS` nats below its ceiling, or when the
+    log likelihoods are so large that rounding hides their differences. NaN likelihoods count as zero and are reported.
+
+    Args:
+        log_weights: normalized, `(n,)`.
+        log_likelihood: `(n,)`.
+        ceiling: largest value the log likelihood can take, `()` or `(n,)`; infinite when not known.
+
+    Returns:
+        Normalized log weights `(n,)` (not usable where collapsed) and the record of the step.
+    """
+    invalid = jnp.isnan(log_likelihood)
+    log_likelihood = jnp.where(invalid, -jnp.inf, log_likelihood)
+    weights, log_evidence = logspace.normalize(log_weights + log_likelihood)
+    highest = jnp.max(log_likelihood)
+    top = jnp.max(ceiling)
+    hopeless = jnp.isfinite(top) & (highest < top - HOPELESS)
+    unresolved = jnp.abs(highest) * jnp.finfo(weights.dtype).eps > 1
+    info = Info(
+        log_evidence=log_evidence,
+        ess=logspace.effective_size(weights),
+        collapsed=~jnp.isfinite(log_evidence) | hopeless | unresolved,
+        invalid=jnp.sum(invalid, dtype=jnp.int32),
+        lowest=jnp.min(log_likelihood),
+        highest=highest,
+    )
+    return weights, info
+
+
+def single(log_evidence: jax.Array, peak: jax.Array) -> Info:
+    """Return the record of a step of a filter whose law has no weights."""
+    _, info = weigh(jnp.zeros((1,), log_evidence.dtype), log_evidence[None], peak)
+    return replace(info, ess=jnp.full_like(log_evidence, jnp.inf))
+
+
+class Filter(ABC):
+    """A filter. Subclasses are records; methods are pure and work under jit, vmap and grad.
+
+    Attributes:
+        on_collapse: what to do when all weights vanish. "raise": `run` raises outside jit and leaves a flag in the info inside.
+            "predict": go on as if nothing had been measured. "inflate": the same, with the law's covariance times 4.
+    """
+
+    on_collapse: str = static("raise", kw_only=True)
+    look_ahead: ClassVar[bool] = False
+    """Whether the filter moves only when it knows the next measurement."""
+
+    def prepare(self, model: Any, u: Any) -> Any:
+        """Check that the model has what this filter needs and bring it into the filter's form; doing so twice changes nothing.
+
+        Args:
+            model: the user's model.
+            u: inputs of one step, for tracing.
+
+        Raises:
+            MotesError: something is missing; the message says what, where, and what to use instead.
+        """
+        return as_state_space(type(self).__name__, model)
+
+    @abstractmethod
+    def init(self, key: jax.Array, model: Any) -> Any:
+        """Return the law before the first measurement."""
+
+    @abstractmethod
+    def update(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
+        """Take in the measurement y `(y,)` of the present time."""
+
+    @abstractmethod
+    def step(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
+        """Go to the next time t and take in its measurement."""
+
+    def settle(self, before: Any, after: Any, info: Info, y: jax.Array) -> tuple[Any, Info]:
+        """Apply the two rules that every filter shares: nothing measured changes nothing, and a collapse is answered by the policy."""
+        missing = jnp.all(jnp.isnan(y))
+        fallback = before
+        if self.on_collapse == "inflate":
+            inflated = before.inflated(INFLATION)
+            fallback = jax.tree.map(lambda kept, wide: jnp.where(missing, kept, wide), before, inflated)
+        refused = missing | info.collapsed
+        state = jax.tree.map(lambda old, new: jnp.where(refused, old, new), fallback, after)
+        silent = {name: jnp.where(missing, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest")}
+        if hasattr(before, "log_weights"):
+            silent["ess"] = jnp.where(refused, logspace.effective_size(before.log_weights), info.ess)
+        return state, replace(info, collapsed=info.collapsed & ~missing, **silent)
+
+
+class TwoStageFilter(Filter):
+    """A filter that predicts first and then corrects; most are. Subclasses write `init`, `predict` and `correct`."""
+
+    @abstractmethod
+    def predict(self, key: jax.Array, model: Any, state: Any, u: Any, t: Any) -> Any:
+        """Return the law at the next time t, before its measurement."""
+
+    @abstractmethod
+    def correct(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
+        """Return the law given y, some but not all of which may be NaN; `update` sees to the rest."""
+
+    def update(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
+        """Take in the measurement y `(y,)` of the present time; NaN means not measured."""
+        after, info = self.correct(key, model, state, y, u, t)
+        return self.settle(state, after, info, y)
+
+    def step(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
+        """Go to the next time t and take in its measurement."""
+        predicted = self.predict(random.child(key, random.PREDICT), model, state, u, t)
+        # the barrier keeps the two stages apart, so that a stream that does them one by one computes the same bits
+        predicted = jax.lax.optimization_barrier(predicted)
+        return self.update(random.child(key, random.UPDATE), model, predicted, y, u, t)
+
+
+def as_state_space(asked_by: str, model: Any) -> StateSpaceModel:
+    """Return a state-space model, joining the parts of a mixed linear one.
+
+    Raises:
+        MotesError: the value is no model.
+    """
+    if isinstance(model, StateSpaceModel):
+        return model
+    if isinstance(model, MixedLinearModel):
+        return model.joined()
+    checks.refuse(f"{asked_by} model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__)

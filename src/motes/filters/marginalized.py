@@ -1,0 +1,110 @@
+"""Marginalized (Rao-Blackwellized) particle filter (paper 000, Alg. 1; Schon, Gustafsson, Nordlund 2005 for C != 0).
+
+The states x_k that are linear-Gaussian given the path of the others x_p are carried by one Kalman filter per particle.
+
+1. Weigh each particle by N(y; h + C l, C P C' + R), determinant included, before its Kalman filter sees y; then correct l and P by y.
+2. Resample particles with their Gaussians (at the start of the next step).
+3. Draw x_p' from N(f_p + A_p l, A_p P A_p' + Q_p): the spread of x_k counts.
+4. Correct l and P by x_p' as if it were a measurement of x_k, then predict them. Correlated process noises are decorrelated first:
+   with G = Q_kp Q_p^-1, x_k' = f_k + (A_k - G A_p) x_k + G (x_p' - f_p) + noise of covariance Q_k - G Q_pk (Gram-Schmidt).
+
+Where nothing in the covariance recursion depends on the particle, one P serves all.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, logspace, random
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info, TwoStageFilter, weigh
+from motes.laws.conditional import wrap
+from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak
+from motes.laws.marginal_cloud import MarginalCloud
+from motes.models.mixed_linear import MixedLinearModel, initial_split
+from motes.models.structure import SplitModel, split
+from motes.resampling.policy import ESS, Policy, resample
+from motes.resampling.schemes import Scheme, Systematic
+
+
+@record
+class MarginalizedParticleFilter(TwoStageFilter):
+    """Marginalized particle filter; its state is a `MarginalCloud`. `RaoBlackwellizedParticleFilter` is the same.
+
+    Attributes:
+        n: number of particles.
+        linear: states to marginalize, by name or index; None for the largest set that the model's structure allows.
+        scheme: how ancestors are drawn.
+        policy: when to resample, at the start of a step.
+    """
+
+    n: int = static()
+    linear: tuple[str | int, ...] | None = static(None)
+    scheme: Scheme = Systematic()
+    policy: Policy = ESS(0.5)
+
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number, or another knob has the wrong kind.
+        """
+        checks.positive_integer("MarginalizedParticleFilter n", self.n)
+        checks.option("MarginalizedParticleFilter on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
+        if self.linear is not None:
+            object.__setattr__(self, "linear", (self.linear,) if isinstance(self.linear, str) else tuple(self.linear))
+
+    def prepare(self, model: Any, u: Any) -> SplitModel:
+        """Split the model into particle and Kalman parts.
+
+        Raises:
+            MotesError: the states asked for are not conditionally linear-Gaussian; the message names the function and the states.
+        """
+        return split(model, self.linear, u)
+
+    def init(self, key: jax.Array, model: SplitModel) -> MarginalCloud:
+        """Draw n particles of x_p, each with the Gaussian of x_k given it."""
+        mixed: MixedLinearModel = model.mixed
+        x_p, means = initial_split(key, mixed.initial_p, mixed.initial_k, mixed.initial_gain, self.n)
+        cov = mixed.initial_k.covariance
+        if model.per_particle:
+            cov = jnp.broadcast_to(cov[..., None], (*cov.shape, self.n))
+        equal = logspace.uniform_weights(self.n, means.dtype)
+        return MarginalCloud(x_p, Gaussian(means, cov), equal, jnp.arange(self.n, dtype=jnp.int32), mixed.order)
+
+    def predict(self, key: jax.Array, model: SplitModel, state: MarginalCloud, u: Any, t: Any) -> MarginalCloud:
+        """Resample where needed, move the particles, then correct and predict the Kalman part."""
+        cloud = resample(random.child(key, random.RESAMPLE), self.scheme, self.policy, state)
+        own, other = model.particle(cloud.particles, u, t), model.kalman(cloud.particles, u, t)
+        if cloud.particles.shape[0] == 0:
+            return replace(cloud, kalman=cloud.kalman.through(other.A, other.f, other.Q))
+        expected = cloud.kalman.through(own.A, own.f, own.Q)
+        surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(random.child(key, random.NOISE), self.n)
+        informed = cloud.kalman.corrected(surprise, own.A, own.Q).law
+        cross = linalg.transpose(model.cross_cov(cloud.particles, u, t))
+        factor = linalg.cholesky(own.Q)
+        aligned = cross if cross.ndim >= factor.ndim else cross[..., None]
+        G = linalg.transpose(linalg.solve(factor, linalg.transpose(aligned)))
+        A = linalg.add(other.A, -linalg.product(G, own.A))
+        Q = linalg.add(other.Q, -linalg.symmetric(linalg.product(G, linalg.transpose(cross))))
+        moved = expected.center + surprise
+        known = linalg.add_vectors(linalg.times_vector(G, moved - own.f), other.f)
+        return replace(cloud, particles=moved, kalman=informed.through(A, known, Q))
+
+    def correct(self, key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.Array, u: Any, t: Any) -> tuple[MarginalCloud, Info]:
+        """Weigh each particle by its predictive density of y, and correct its Gaussian."""
+        h, C, R = model.sensor(state.particles, u, t)
+        angles, seen = model.mixed.angles, ~jnp.isnan(y)
+        if not model.measures_linear:
+            innovation = wrap(y[:, None] - h, angles)
+            likelihood, peak = log_normal(innovation, R, seen), log_normal_peak(innovation, R, seen)
+            kalman = state.kalman
+        else:
+            innovation = wrap(y[:, None] - h - linalg.times_vector(C, state.kalman.center), angles)
+            kalman, likelihood, peak = state.kalman.corrected(innovation, C, R, seen)
+        weights, info = weigh(state.log_weights, likelihood, peak)
+        return replace(state, kalman=kalman, log_weights=weights), info
+
+
+RaoBlackwellizedParticleFilter = MarginalizedParticleFilter

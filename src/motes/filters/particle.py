@@ -1,0 +1,99 @@
+"""Particle filter: sequential importance sampling with resampling (paper 001, equations 10 to 12; Gordon, Salmond, Smith 1993).
+
+1. Resample where the policy says so: always is SIR (bootstrap), never is SIS, a threshold is the generic filter.
+2. Move each particle by the dynamics, or by the proposal where one is given.
+3. Multiply each weight by p(y | x) or, with a proposal, by p(y | x) p(x | before) / q(x | before, y); normalize.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, random
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info, TwoStageFilter, as_state_space, weigh
+from motes.laws.cloud import Cloud
+from motes.laws.conditional import Conditional, Custom
+from motes.models.state_space import StateSpaceModel
+from motes.resampling.policy import ESS, Policy, resample
+from motes.resampling.schemes import Scheme, Systematic
+
+
+@record
+class ParticleFilter(TwoStageFilter):
+    """Particle filter; its state is a `Cloud`.
+
+    Attributes:
+        n: number of particles.
+        proposal: law of x_t given x_{t-1} and y_t, as a conditional whose functions get the pair `(u, y)` for inputs; None for the dynamics.
+        scheme: how ancestors are drawn.
+        policy: when to resample, at the start of a step.
+    """
+
+    n: int = static()
+    proposal: Conditional | None = None
+    scheme: Scheme = Systematic()
+    policy: Policy = ESS(0.5)
+
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number, or another knob has the wrong kind.
+        """
+        checks.positive_integer("ParticleFilter n", self.n)
+        if self.proposal is not None and not isinstance(self.proposal, Conditional):
+            checks.refuse("ParticleFilter proposal", "a conditional such as AdditiveGaussian", type(self.proposal).__name__)
+        checks.option("ParticleFilter on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
+
+    @property
+    def look_ahead(self) -> bool:  # type: ignore[override]
+        """With a proposal the filter moves only when it knows the measurement."""
+        return self.proposal is not None
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for dynamics that can be drawn from (or, with a proposal, have a density) and a sensor with a density.
+
+        Raises:
+            MotesError: one is missing.
+        """
+        model = as_state_space("ParticleFilter", model)
+        dynamics, sensor = model.dynamics, model.sensor
+        if isinstance(sensor, Custom) and sensor.density is None:
+            checks.refuse("ParticleFilter sensor", "a log_prob (weights are likelihoods)", "Custom with sample only")
+        if isinstance(dynamics, Custom) and dynamics.sampler is None:
+            checks.refuse("ParticleFilter dynamics", "a sample function (particles are moved by it)", "Custom with log_prob only")
+        if self.proposal is not None and isinstance(dynamics, Custom) and dynamics.density is None:
+            checks.refuse("ParticleFilter dynamics", "a log_prob (a proposal's weights need it)", "Custom with sample only")
+        return model
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
+        """Draw n particles from the initial law."""
+        return Cloud.equal(model.initial.sample(key, self.n))
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
+        """Resample where needed, then move by the dynamics."""
+        cloud = resample(random.child(key, random.RESAMPLE), self.scheme, self.policy, state)
+        return replace(cloud, particles=model.dynamics.sample(random.child(key, random.NOISE), cloud.particles, u, t))
+
+    def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+        """Weigh the particles by the likelihood of y."""
+        likelihood = model.sensor.log_prob(y, state.particles, u, t)
+        weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
+        return replace(state, log_weights=weights), info
+
+    def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+        """Go to the next time t and take in its measurement."""
+        if self.proposal is None:
+            return TwoStageFilter.step(self, key, model, state, y, u, t)
+        predict_key = random.child(key, random.PREDICT)
+        cloud = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
+        noise_key = random.child(predict_key, random.NOISE)
+        moved = self.proposal.sample(noise_key, cloud.particles, (u, y), t)
+        likelihood = model.sensor.log_prob(y, moved, u, t)
+        correction = model.dynamics.log_prob(moved, cloud.particles, u, t) - self.proposal.log_prob(moved, cloud.particles, (u, y), t)
+        weights, info = weigh(cloud.log_weights, likelihood + correction, jnp.full((), jnp.inf, likelihood.dtype))
+        after = replace(cloud, particles=moved, log_weights=weights)
+        blind = replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
+        return self.settle(blind, after, info, y)
