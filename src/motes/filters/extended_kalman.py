@@ -7,13 +7,12 @@ y - h(mean) with the slope H of h there. On a linear model it is the Kalman filt
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
-from motes.core import checks, linalg
+from motes.core import checks
 from motes.core.record import record
 from motes.filters.interface import Info, TwoStageFilter, as_state_space, single
 from motes.laws.gaussian import Gaussian
-from motes.models.linearize import affine, has_moments
+from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 
 
@@ -29,7 +28,7 @@ class ExtendedKalmanFilter(TwoStageFilter):
         """
         model = as_state_space("ExtendedKalmanFilter", model)
         for name in ("dynamics", "sensor"):
-            if not has_moments(getattr(model, name)):
+            if not linearize.has_moments(getattr(model, name)):
                 checks.refuse(
                     f"ExtendedKalmanFilter {name}",
                     "a mean function and a noise covariance (it uses the Jacobian)",
@@ -44,11 +43,9 @@ class ExtendedKalmanFilter(TwoStageFilter):
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
         """Move mean and covariance to time t."""
-        center, F, Q = affine(model.dynamics, state.center, u, t)
-        return Gaussian(center, linalg.sandwich(F, state.covariance) + Q)
+        return linearize.moved(model.dynamics, state, u, t)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Condition on y."""
-        prediction, H, R = affine(model.sensor, state.center, u, t)
-        done = state.corrected(model.sensor.residual(y, prediction), H, R, ~jnp.isnan(y))
+        done = linearize.measured(model.sensor, state, y, u, t)
         return done.law, single(done.log_evidence, done.peak)

@@ -87,6 +87,7 @@ class Filter(ABC):
 
     on_collapse: str = static("raise", kw_only=True)
     look_ahead: ClassVar[bool] = False
+    has_evidence: ClassVar[bool] = True
     """Whether the filter moves only when it knows the next measurement."""
 
     def prepare(self, model: Any, u: Any) -> Any:

@@ -20,9 +20,9 @@ from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters.interface import Info, TwoStageFilter, weigh
 from motes.laws.conditional import wrap
-from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak
+from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
-from motes.models.mixed_linear import MixedLinearModel, initial_split
+from motes.models.mixed_linear import Affine, MixedLinearModel, initial_split
 from motes.models.structure import SplitModel, split
 from motes.resampling.policy import ESS, Policy, resample
 from motes.resampling.schemes import Scheme, Systematic
@@ -76,35 +76,43 @@ class MarginalizedParticleFilter(TwoStageFilter):
     def predict(self, key: jax.Array, model: SplitModel, state: MarginalCloud, u: Any, t: Any) -> MarginalCloud:
         """Resample where needed, move the particles, then correct and predict the Kalman part."""
         cloud = resample(random.child(key, random.RESAMPLE), self.scheme, self.policy, state)
-        own, other = model.particle(cloud.particles, u, t), model.kalman(cloud.particles, u, t)
+        own, other = (model.over(part, cloud.particles, u, t) for part in ("particle", "kalman"))
         if cloud.particles.shape[0] == 0:
             return replace(cloud, kalman=cloud.kalman.through(other.A, other.f, other.Q))
         expected = cloud.kalman.through(own.A, own.f, own.Q)
         surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(random.child(key, random.NOISE), self.n)
         informed = cloud.kalman.corrected(surprise, own.A, own.Q).law
-        cross = linalg.transpose(model.cross_cov(cloud.particles, u, t))
-        factor = linalg.cholesky(own.Q)
-        aligned = cross if cross.ndim >= factor.ndim else cross[..., None]
-        G = linalg.transpose(linalg.solve(factor, linalg.transpose(aligned)))
-        A = linalg.add(other.A, -linalg.product(G, own.A))
-        Q = linalg.add(other.Q, -linalg.symmetric(linalg.product(G, linalg.transpose(cross))))
         moved = expected.center + surprise
-        known = linalg.add_vectors(linalg.times_vector(G, moved - own.f), other.f)
-        return replace(cloud, particles=moved, kalman=informed.through(A, known, Q))
+        f, A, Q = _decorrelated(own, other, model.cross_cov(cloud.particles, u, t), moved)
+        return replace(cloud, particles=moved, kalman=informed.through(A, f, Q))
 
     def correct(self, key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.Array, u: Any, t: Any) -> tuple[MarginalCloud, Info]:
         """Weigh each particle by its predictive density of y, and correct its Gaussian."""
-        h, C, R = model.sensor(state.particles, u, t)
-        angles, seen = model.mixed.angles, ~jnp.isnan(y)
-        if not model.measures_linear:
-            innovation = wrap(y[:, None] - h, angles)
-            likelihood, peak = log_normal(innovation, R, seen), log_normal_peak(innovation, R, seen)
+        if model.likelihood is not None:
+            whole = model.whole(state.particles)
+            likelihood, peak = model.likelihood.log_prob(y, whole, u, t), model.likelihood.ceiling(y, whole, u, t)
             kalman = state.kalman
         else:
-            innovation = wrap(y[:, None] - h - linalg.times_vector(C, state.kalman.center), angles)
-            kalman, likelihood, peak = state.kalman.corrected(innovation, C, R, seen)
+            h, C, R = model.over("sensor", state.particles, u, t)
+            prediction = h + linalg.times_vector(C, state.kalman.center)
+            innovation = wrap(y[:, None] - prediction, model.mixed.angles)
+            kalman, likelihood, peak = state.kalman.corrected(innovation, C, R, ~jnp.isnan(y))
         weights, info = weigh(state.log_weights, likelihood, peak)
         return replace(state, kalman=kalman, log_weights=weights), info
+
+
+def _decorrelated(own: Affine, other: Affine, cross_cov: jax.Array | None, moved: jax.Array) -> Affine:
+    """Give the Kalman part's dynamics once the noise of the particle part, moved - f_p - A_p x_k, is known (step 4)."""
+    if cross_cov is None:
+        return other
+    factor = linalg.cholesky(own.Q)
+    aligned = cross_cov if cross_cov.ndim >= factor.ndim else cross_cov[..., None]
+    G = linalg.transpose(linalg.solve(factor, aligned))
+    return Affine(
+        linalg.add_vectors(linalg.times_vector(G, moved - own.f), other.f),
+        linalg.add(other.A, -linalg.product(G, own.A)),
+        linalg.add(other.Q, -linalg.symmetric(linalg.product(G, aligned))),
+    )
 
 
 RaoBlackwellizedParticleFilter = MarginalizedParticleFilter

@@ -1,10 +1,13 @@
-"""Affine approximations of conditionals at a state."""
+"""Gaussians through conditionals, by slopes at the mean: exact where the conditional is linear, extended-Kalman elsewhere."""
 
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
+from motes.core import linalg
 from motes.laws.conditional import AdditiveGaussian, Conditional, LinearGaussian, matrix
+from motes.laws.gaussian import Correction, Gaussian
 
 
 def affine(part: Conditional, x: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -13,6 +16,18 @@ def affine(part: Conditional, x: jax.Array, u: Any, t: Any) -> tuple[jax.Array, 
         slope = matrix(part.A, x, u, t)
         return slope @ x, slope, part.cov(x, u, t)
     return part.mean(x, u, t), jax.jacfwd(lambda x: part.mean(x, u, t))(x), part.cov(x, u, t)
+
+
+def moved(dynamics: Conditional, law: Gaussian, u: Any, t: Any) -> Gaussian:
+    """Move a Gaussian to time t: the mean through the dynamics, the covariance through their slope at the mean, plus noise."""
+    center, slope, noise = affine(dynamics, law.center, u, t)
+    return Gaussian(center, linalg.sandwich(slope, law.covariance) + noise)
+
+
+def measured(sensor: Conditional, law: Gaussian, y: jax.Array, u: Any, t: Any) -> Correction:
+    """Condition a Gaussian on a measurement `(y,)` through the sensor's slope at the mean; NaN means not measured."""
+    prediction, slope, noise = affine(sensor, law.center, u, t)
+    return law.corrected(sensor.residual(y, prediction), slope, noise, ~jnp.isnan(y))
 
 
 def has_moments(part: Conditional) -> bool:

@@ -1,0 +1,179 @@
+"""The record of a run."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core import checks
+from motes.core.logspace import RunningSum
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info
+from motes.io import archive
+
+
+@record
+class Carry:
+    """What a run hands from one step to the next.
+
+    Attributes:
+        state: the law.
+        evidence: sum of the log evidence so far.
+        y: measurement of the last step, `(y,)`.
+        u: inputs of the last step.
+        step: index of the last step.
+    """
+
+    state: Any
+    evidence: RunningSum
+    y: jax.Array
+    u: Any
+    step: jax.Array
+
+
+@record
+class History:
+    """What a run gives.
+
+    Attributes:
+        kept: what the keep function returned, each with the time axis first.
+        info: record of each step, each field `(t,)`.
+        last: what is needed to continue.
+        start: index of the first step.
+        names: names of the states.
+        label: the filter, as it prints.
+        has_evidence: whether the filter knows its likelihood.
+    """
+
+    kept: dict[str, Any]
+    info: Info
+    last: Carry
+    start: jax.Array
+    names: tuple[str, ...] = static()
+    label: str = static()
+    has_evidence: bool = static(True)
+
+    def _kept(self, name: str) -> Any:
+        if name not in self.kept:
+            checks.refuse(f"history.{name}", f"a run that kept it ({', '.join(self.kept) or 'nothing'} was kept)", "none",
+                          "Run with keep=mo.keep.moments or mo.keep.laws.")
+        return self.kept[name]
+
+    @property
+    def mean(self) -> jax.Array:
+        """Filtered means, `(t, x)`."""
+        return self._kept("mean")
+
+    @property
+    def cov(self) -> jax.Array:
+        """Filtered covariances, `(t, x, x)`."""
+        return self._kept("cov")
+
+    @property
+    def law(self) -> Any:
+        """Filtered laws with the time axis first (with `keep.laws`)."""
+        return self._kept("law")
+
+    @property
+    def state(self) -> Any:
+        """The last law."""
+        return self.last.state
+
+    @property
+    def ess(self) -> jax.Array:
+        """Effective sample sizes, `(t,)`."""
+        return self.info.ess
+
+    @property
+    def log_evidence(self) -> jax.Array:
+        """Log density of each measurement given those before, `(t,)`."""
+        self._ask_evidence()
+        return self.info.log_evidence
+
+    @property
+    def log_likelihood(self) -> jax.Array:
+        """Log density of all measurements since step 0, `()`."""
+        self._ask_evidence()
+        return self.last.evidence.value()
+
+    def _ask_evidence(self) -> None:
+        if not self.has_evidence:
+            checks.refuse("history.log_likelihood", "a filter with a likelihood", self.label, "Its costs are no probabilities.")
+
+    def raise_on_collapse(self) -> None:
+        """Raise where all weights vanished.
+
+        Raises:
+            CollapseError: naming the first such step and the range of the log likelihoods there.
+        """
+        collapsed = np.asarray(self.info.collapsed)
+        if not collapsed.any():
+            return
+        where = int(np.argmax(collapsed))
+        lowest, highest = float(self.info.lowest[where]), float(self.info.highest[where])
+        raise checks.CollapseError(
+            f"step {int(self.start) + where}: all weights vanished: log likelihoods between {lowest:.4g} and {highest:.4g}; "
+            f"no particle explains the measurement ({self.label[:80]}). Check the measurement and the noises, use more particles, "
+            "or set on_collapse='predict' or 'inflate'."
+        )
+
+    def to_xarray(self) -> Any:
+        """Return an `xarray.Dataset` with dimensions time, state and state2; needs the extra `results`."""
+        xarray = checks.need("xarray", "results")
+        steps = int(self.start) + np.arange(np.shape(self.info.ess)[0])
+        data: dict[str, Any] = {}
+        if "mean" in self.kept:
+            data["mean"] = (("time", "state"), np.asarray(self.mean))
+        if "cov" in self.kept:
+            data["cov"] = (("time", "state", "state2"), np.asarray(self.cov))
+        for name in ("log_evidence", "ess", "collapsed", "invalid"):
+            data[name] = (("time",), np.asarray(getattr(self.info, name)))
+        names = list(self.names)
+        attributes = archive.provenance() | {"filter": self.label}
+        if self.has_evidence:
+            data["log_likelihood"] = ((), np.asarray(self.log_likelihood))
+        return xarray.Dataset(data, coords={"time": steps, "state": names, "state2": names}, attrs=attributes)
+
+    def save(self, path: str | Path) -> Path:
+        """Write to a NetCDF (`.nc`, extra `results`) or NumPy (`.npz`) file, whole or not at all; no pickle.
+
+        A NetCDF file holds what `to_xarray` gives; a NumPy file also holds kept laws and what is needed to continue.
+
+        Raises:
+            FileError: the ending is another, or the file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix == ".nc":
+            return archive.write_dataset(path, self.to_xarray())
+        if path.suffix == ".npz":
+            texts = {"names": list(self.names), "filter": self.label, "has_evidence": self.has_evidence}
+            return archive.write_tree(path, self._data(), texts, kind="history")
+        checks.refuse(str(path), "a name that ends in .nc or .npz", path.suffix or "no ending", error=checks.FileError)
+
+    def _data(self) -> dict[str, Any]:
+        return {"kept": self.kept, "info": self.info, "last": self.last, "start": self.start}
+
+    @classmethod
+    def load(cls, path: str | Path) -> "History":
+        """Read back a `.npz` file; laws and the last state come back as plain dictionaries of arrays.
+
+        Raises:
+            FileError: the file is no history, or is damaged.
+        """
+        tree, texts = archive.read_tree(Path(path), kind="history")
+        info = Info(**{name: jnp.asarray(value) for name, value in tree["info"].items()})
+        last = dict(tree["last"])
+        evidence = RunningSum(**{name: jnp.asarray(value) for name, value in last.pop("evidence").items()})
+        carry = Carry(state=last.get("state"), evidence=evidence, y=last["y"], u=last.get("u"), step=last["step"])
+        return cls(tree.get("kept", {}), info, carry, tree["start"], tuple(texts["names"]), texts["filter"], bool(texts["has_evidence"]))
+
+
+def joined(pieces: Sequence[History]) -> History:
+    """Put the histories of consecutive parts of one run together."""
+    if not pieces:
+        checks.refuse("pieces", "at least one history", "none")
+    kept, info = jax.tree.map(lambda *parts: jnp.concatenate(parts), *[(piece.kept, piece.info) for piece in pieces])
+    return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start)

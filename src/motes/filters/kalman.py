@@ -1,0 +1,47 @@
+"""Kalman filter (Kalman 1960): exact for linear models with Gaussian noise.
+
+Predict: mean <- A mean, P <- A P A' + Q. Correct: condition on y = H x + e (`Gaussian.corrected`, Joseph form).
+"""
+
+from typing import Any
+
+import jax
+
+from motes.core import checks
+from motes.core.record import record
+from motes.filters.interface import Info, TwoStageFilter, as_state_space, single
+from motes.laws.gaussian import Gaussian
+from motes.models import linearize
+from motes.models.state_space import StateSpaceModel
+from motes.models.structure import structure
+
+
+@record
+class KalmanFilter(TwoStageFilter):
+    """Kalman filter; its state is a `Gaussian`. Functions that are linear need not be written as matrices: tracing finds out."""
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for a model that is linear in every state, with Gaussian noises and initial law.
+
+        Raises:
+            MotesError: it is not; the message names a state and the reason.
+        """
+        model = as_state_space("KalmanFilter", model)
+        found = structure(model, u)
+        if len(found.linear) < model.size:
+            name, reason = found.reasons[0]
+            checks.refuse("KalmanFilter model", "a linear-Gaussian model", f"{name}: {reason}", "Use ExtendedKalmanFilter or a particle filter.")
+        return model
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Gaussian:
+        """Return the initial law."""
+        return Gaussian(model.initial.mean(), model.initial.cov())
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
+        """Move mean and covariance to time t."""
+        return linearize.moved(model.dynamics, state, u, t)
+
+    def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
+        """Condition on y."""
+        done = linearize.measured(model.sensor, state, y, u, t)
+        return done.law, single(done.log_evidence, done.peak)

@@ -1,0 +1,25 @@
+"""What a run keeps of each step: functions of the law that return a dictionary of arrays. Any function of that form will do."""
+
+from typing import Any
+
+import jax
+
+
+def moments(law: Any) -> dict[str, jax.Array]:
+    """Keep mean `(x,)` and covariance `(x, x)`; the default."""
+    return {"mean": law.mean(), "cov": law.cov()}
+
+
+def means(law: Any) -> dict[str, jax.Array]:
+    """Keep the mean alone."""
+    return {"mean": law.mean()}
+
+
+def laws(law: Any) -> dict[str, Any]:
+    """Keep everything: memory grows with the number of particles times steps."""
+    return {"mean": law.mean(), "cov": law.cov(), "law": law}
+
+
+def nothing(law: Any) -> dict[str, jax.Array]:
+    """Keep only the info of each step and the last law."""
+    return {}

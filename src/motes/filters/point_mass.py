@@ -1,0 +1,95 @@
+"""Point-mass filter: Bayes' recursion on a grid of one or two dimensions (Bucy, Senne 1971); the exact answer other filters are held to.
+
+Predict: each node's new weight is the sum over all nodes of weight times transition density. Correct: times the likelihood.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core import checks, logspace
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info, TwoStageFilter, as_state_space, weigh
+from motes.laws.cloud import Cloud
+from motes.laws.conditional import Custom
+from motes.models.state_space import StateSpaceModel
+
+_PAIRS_AT_ONCE = 4_000_000
+
+
+@record
+class PointMassFilter(TwoStageFilter):
+    """Point-mass filter; its state is a `Cloud` whose particles are the nodes of a fixed grid.
+
+    The cost of a step grows with the square of the number of nodes. The grid must cover the state and be finer than the noise.
+
+    Attributes:
+        lower: lower ends of the grid, one number per state, in the units of the state.
+        upper: upper ends.
+        nodes: numbers of nodes per state.
+    """
+
+    lower: tuple[float, ...] = static()
+    upper: tuple[float, ...] = static()
+    nodes: tuple[int, ...] = static()
+
+    def __post_init__(self) -> None:
+        """Check the grid.
+
+        Raises:
+            MotesError: lengths differ, an end is not below the other, or there are more than two states.
+        """
+        for name in ("lower", "upper", "nodes"):
+            object.__setattr__(self, name, tuple(np.atleast_1d(getattr(self, name)).tolist()))
+        if not len(self.lower) == len(self.upper) == len(self.nodes) or not 1 <= len(self.nodes) <= 2:
+            given = f"{len(self.lower)}, {len(self.upper)} and {len(self.nodes)}"
+            checks.refuse("PointMassFilter lower, upper, nodes", "one or two numbers each", given)
+        if any(not low < high for low, high in zip(self.lower, self.upper, strict=True)):
+            checks.refuse("PointMassFilter lower", "numbers below those of upper", f"{self.lower} and {self.upper}")
+        for count in self.nodes:
+            checks.positive_integer("PointMassFilter nodes", count)
+        checks.option("PointMassFilter on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for densities of the initial law, the dynamics and the sensor, and for as many states as the grid has dimensions.
+
+        Raises:
+            MotesError: one is missing.
+        """
+        model = as_state_space("PointMassFilter", model)
+        if model.size != len(self.nodes):
+            checks.refuse("PointMassFilter nodes", f"{model.size} dimensions (states of the model)", len(self.nodes))
+        for name in ("dynamics", "sensor"):
+            part = getattr(model, name)
+            if isinstance(part, Custom) and part.density is None:
+                checks.refuse(f"PointMassFilter {name}", "a log_prob", "Custom with sample only")
+        return model
+
+    def grid(self, dtype: jnp.dtype) -> jax.Array:
+        """Return the nodes, `(x, n)`."""
+        axes = [np.linspace(low, high, count) for low, high, count in zip(self.lower, self.upper, self.nodes, strict=True)]
+        return jnp.asarray(np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")]), dtype)
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
+        """Weigh the nodes by the initial density."""
+        cloud = Cloud.equal(self.grid(model.dtype))
+        return replace(cloud, log_weights=logspace.normalize(model.initial.log_prob(cloud.particles))[0])
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
+        """Sum over all transitions."""
+        points = state.particles
+
+        def arriving(node: jax.Array) -> jax.Array:
+            return jax.nn.logsumexp(model.dynamics.log_prob(node, points, u, t) + state.log_weights)
+
+        batch = max(1, min(points.shape[-1], _PAIRS_AT_ONCE // points.shape[-1]))
+        weights = jax.lax.map(arriving, points.T, batch_size=batch)
+        return replace(state, log_weights=logspace.normalize(weights)[0])
+
+    def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+        """Weigh the nodes by the likelihood of y."""
+        likelihood = model.sensor.log_prob(y, state.particles, u, t)
+        weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
+        return replace(state, log_weights=weights), info

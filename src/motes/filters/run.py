@@ -1,0 +1,188 @@
+"""The one loop over time."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core import checks, random
+from motes.core.logspace import RunningSum
+from motes.core.types import Inputs, KeyLike
+from motes.filters import keep as keeping
+from motes.filters.history import Carry, History
+from motes.filters.interface import Filter, Info, as_state_space
+from motes.models.mixed_linear import MixedLinearModel
+from motes.models.state_space import Previous, StateSpaceModel, decorrelated, measurement_size, step_inputs
+
+Keep = Callable[[Any], dict[str, Any]]
+
+
+def run(
+    key: KeyLike,
+    filter: Filter,
+    model: Any,
+    ys: jax.Array,
+    inputs: Inputs = None,
+    keep: Keep = keeping.moments,
+    after: History | None = None,
+) -> History:
+    """Run a filter over measurements.
+
+    Pure: it can be jitted, vmapped (over keys, data and array fields of models) and differentiated. The second call with the same kinds of
+    arguments does not compile again.
+
+    Args:
+        key: JAX key or integer seed; the same key gives the same numbers, bit for bit, as `stream` with it.
+        filter: the filter.
+        model: state-space or mixed linear model.
+        ys: measurements `(t, y)`; NaN means not measured; the first is of x_0.
+        inputs: tree with the time axis first, or None.
+        keep: what to keep of each law (see `keep`).
+        after: history of the steps before, to continue from with the same key; the result equals the uncut run, bit for bit.
+
+    Raises:
+        MotesError: measurements, inputs, filter and model do not fit each other.
+        CollapseError: all weights vanished and the filter's `on_collapse` is "raise" (outside jit only).
+    """
+    key = random.as_key(key)
+    if not isinstance(filter, Filter):
+        checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
+    ys = checked_measurements(filter, model, ys, inputs)
+    first = None if after is None else after.last
+    history = _run(key, filter, model, ys, inputs, keep, first)
+    if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
+        history.raise_on_collapse()
+    return history
+
+
+def run_in_chunks(
+    key: KeyLike, filter: Filter, model: Any, ys: jax.Array, inputs: Inputs = None, keep: Keep = keeping.moments, chunk: int = 100
+) -> Iterator[History]:
+    """Run in chunks of steps and yield the history of each: for progress, checkpoints and early stops. `joined` puts them together.
+
+    Arguments and errors are those of `run`; chunk is the number of steps at a time.
+    """
+    checks.positive_integer("run_in_chunks chunk", chunk)
+    part = None
+    for begin in range(0, np.shape(ys)[0], chunk):
+        piece = slice(begin, begin + chunk)
+        part = run(key, filter, model, ys[piece], jax.tree.map(lambda leaf, piece=piece: leaf[piece], inputs), keep, part)
+        yield part
+
+
+@partial(jax.jit, static_argnames=("keep",))
+def _run(key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
+    engine = Engine(key, filter, model)
+
+    def advance(carry: Carry, now: tuple[jax.Array, Inputs]) -> tuple[Carry, tuple[Any, Info]]:
+        carry, info = engine.step(carry, *now)
+        return carry, (keep(carry.state), info)
+
+    if first is None:
+        carry, info = engine.begin(ys[0], step_inputs(inputs, 0))
+        opening = (keep(carry.state), info)
+        start = jnp.int32(0)
+        carry, rest = jax.lax.scan(advance, carry, (ys[1:], jax.tree.map(lambda leaf: leaf[1:], inputs)))
+        kept, infos = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), opening, rest)
+    else:
+        start = first.step + 1
+        carry, (kept, infos) = jax.lax.scan(advance, first, (ys, inputs))
+    return History(kept, infos, carry, start, model.names, repr(filter), engine.filter.has_evidence)
+
+
+class Engine:
+    """One filter on one model: the single place that gives each step its key, its inputs and its number."""
+
+    def __init__(self, key: jax.Array, filter: Filter, model: Any):
+        """Take the parts; models with correlated noises are decorrelated here."""
+        self.key, self.filter = key, filter
+        self.correlated = isinstance(model, StateSpaceModel) and model.noise_cross_cov is not None
+        self.model = decorrelated(model) if isinstance(model, StateSpaceModel) else model
+
+    def prepared(self, u: Any) -> Any:
+        """Return the model in the filter's own form."""
+        return self.filter.prepare(self.model, u)
+
+    def driven(self, u: Inputs, before: Inputs, y: jax.Array) -> Any:
+        """Return the inputs as the model wants them: with the measurement before, where noises are correlated."""
+        return Previous(u, before, y) if self.correlated else u
+
+    def initial(self, u: Inputs, y: jax.Array) -> Carry:
+        """Return the law before y_0; of y only shape and type matter."""
+        nothing = jnp.full_like(y, jnp.nan)
+        model = self.prepared(self.driven(u, u, nothing))
+        state = self.filter.init(random.child(random.step_key(self.key, 0), random.INITIAL), model)
+        return Carry(state, RunningSum.zero(y.dtype), nothing, u, jnp.int32(0))
+
+    def take_in(self, carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
+        """Update with a measurement of the present step."""
+        driven = self.driven(carry.u, carry.u, carry.y)
+        key = random.child(random.step_key(self.key, carry.step), random.UPDATE)
+        state, info = self.filter.update(key, self.prepared(driven), carry.state, y, driven, carry.step)
+        return Carry(state, carry.evidence.add(info.log_evidence), y, carry.u, carry.step), info
+
+    def begin(self, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
+        """Take step 0."""
+        return self.take_in(_apart(self.initial(u, y)), y)
+
+    def move(self, carry: Carry, u: Inputs) -> Carry:
+        """Predict only; the measurement of the new step counts as missing until it is taken in."""
+        t = carry.step + 1
+        driven = self.driven(u, carry.u, carry.y)
+        key = random.child(random.step_key(self.key, t), random.PREDICT)
+        state = self.filter.predict(key, self.prepared(driven), carry.state, driven, t)  # type: ignore[attr-defined]
+        return Carry(state, carry.evidence, jnp.full_like(carry.y, jnp.nan), u, t)
+
+    def step(self, carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
+        """Go to the next step and take in its measurement."""
+        carry, y, u = _apart((carry, y, u))
+        t = carry.step + 1
+        driven = self.driven(u, carry.u, carry.y)
+        state, info = self.filter.step(random.step_key(self.key, t), self.prepared(driven), carry.state, y, driven, t)
+        return _apart((Carry(state, carry.evidence.add(info.log_evidence), y, u, t), info))
+
+
+def _apart(tree: Any) -> Any:
+    """Keep the compiler from fusing across a border between steps, so that a step computes the same bits wherever it stands."""
+    return jax.lax.optimization_barrier(tree)
+
+
+def checked_measurements(filter: Filter, model: Any, ys: Any, inputs: Inputs) -> jax.Array:
+    """Return the measurements in the model's type, or refuse what does not fit; see `run`."""
+    if not isinstance(model, (StateSpaceModel, MixedLinearModel)):
+        as_state_space("run", model)
+    dtype = model.dtype
+    if checks.is_concrete(ys):
+        array = np.asarray(ys)
+        if array.dtype == object or not (np.issubdtype(array.dtype, np.number) or array.dtype == bool):
+            checks.refuse("ys", "real numbers, shape (t, y)", f"dtype {array.dtype}")
+        if np.isinf(array).any():
+            where = np.argwhere(np.isinf(array))[0].tolist()
+            checks.refuse("ys", "finite numbers, or NaN for what was not measured", f"{array[tuple(where)]} at index {where}")
+    ys = jnp.asarray(ys, dtype)
+    if ys.ndim != 2 or ys.shape[0] == 0:
+        hint = "Write ys[:, None] for one measured component." if ys.ndim == 1 else ""
+        checks.refuse("ys", "shape (t, y) with at least one step", f"shape {ys.shape}", hint)
+    lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(inputs)}
+    if lengths - {ys.shape[0]}:
+        checks.refuse("inputs", f"arrays with the time axis first, {ys.shape[0]} steps as ys", f"first axes {sorted(map(str, lengths))}")
+    _check_fit(model, ys, step_inputs(inputs, 0))
+    return ys
+
+
+def _check_fit(model: Any, ys: jax.Array, u: Inputs) -> None:
+    if not isinstance(model, StateSpaceModel):
+        return
+    model.check(u)
+    size = measurement_size(model, u)
+    if size is not None and ys.shape[1] != size:
+        checks.refuse("ys", f"shape (t, {size}), as the sensor measures", f"shape {ys.shape}")
+    if not model.sensor.marginalizes and checks.is_concrete(ys):
+        missing = np.isnan(np.asarray(ys))
+        some = missing.any(axis=1) & ~missing.all(axis=1)
+        if some.any():
+            checks.refuse("ys", f"rows without NaN, or all NaN ({type(model.sensor).__name__} cannot leave out single components)",
+                          f"row {int(np.argmax(some))} partly NaN", "Use a Gaussian sensor or noise with independent components.")

@@ -1,0 +1,192 @@
+"""On-line filtering, one step at a time, with the very numbers that `run` draws."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core import checks, random
+from motes.core.types import Inputs, KeyLike
+from motes.filters.history import Carry, History
+from motes.filters.interface import Filter, Info
+from motes.filters.run import Engine, checked_measurements
+from motes.io import archive
+
+
+@jax.jit
+def _begin(key: jax.Array, filter: Filter, model: Any, u: Inputs, y: jax.Array) -> Carry:
+    return Engine(key, filter, model).initial(u, y)
+
+
+@jax.jit
+def _move(key: jax.Array, filter: Filter, model: Any, carry: Carry, u: Inputs) -> Carry:
+    return Engine(key, filter, model).move(carry, u)
+
+
+@jax.jit
+def _take_in(key: jax.Array, filter: Filter, model: Any, carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
+    return Engine(key, filter, model).take_in(carry, y)
+
+
+@jax.jit
+def _step(key: jax.Array, filter: Filter, model: Any, carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
+    return Engine(key, filter, model).step(carry, y, u)
+
+
+@partial(jax.jit, static_argnames=("what",))
+def _moment(state: Any, what: str) -> jax.Array:
+    return getattr(state, what)()
+
+
+class Stream:
+    """A filter at work: `update(y)`, `predict(u)`, `update(y)`, ... A `predict` without an `update` is a step without measurement.
+
+    A filter with look-ahead (a particle filter with a proposal) moves only when the measurement comes: its `predict` is remembered, and the
+    following `update` does the whole step.
+    """
+
+    def __init__(self, key: KeyLike, filter: Filter, model: Any, inputs: Inputs = None):
+        """Stand before the first measurement.
+
+        Args:
+            key: JAX key or integer seed.
+            filter: the filter.
+            model: state-space or mixed linear model.
+            inputs: inputs of step 0 (not of the whole run), or None.
+        """
+        self.key, self.filter, self.model = random.as_key(key), filter, model
+        self._inputs = inputs
+        self._carry: Carry | None = None
+        self._pending: list[Inputs] = []
+        self._updated = False
+        self.info: Info | None = None
+
+    def update(self, y: Any) -> Info:
+        """Take in the measurement y `(y,)` of the present step and return the record of it.
+
+        Raises:
+            MotesError: y does not fit the model, or this step has its measurement already.
+            CollapseError: all weights vanished and the filter's `on_collapse` is "raise"; the state is as before the call.
+        """
+        if self._updated:
+            checks.refuse("update", "one measurement per step", "a second one", "Call predict(u) first.")
+        y = self._checked(y)
+        carry = self._opened(y)
+        if self._pending:
+            carry, info = _step(self.key, self.filter, self.model, carry, y, self._pending[-1])
+        else:
+            carry, info = _take_in(self.key, self.filter, self.model, carry, y)
+        if self.filter.on_collapse == "raise" and bool(info.collapsed):
+            at_step = jax.tree.map(lambda leaf: leaf[None], info)
+            History({}, at_step, carry, carry.step, self.model.names, repr(self.filter)).raise_on_collapse()
+        self._carry, self.info, self._updated, self._pending = carry, info, True, []
+        return info
+
+    def predict(self, u: Inputs = None) -> None:
+        """Go to the next step, with its inputs u."""
+        self._settle_pending()
+        if self.filter.look_ahead:
+            self._pending = [u]
+        else:
+            self._carry = _move(self.key, self.filter, self.model, self._opened(None), u)
+        self._updated = False
+
+    def _settle_pending(self) -> None:
+        """A look-ahead step whose measurement never came is a step without measurement."""
+        if self._pending:
+            carry = self._opened(None)
+            self._carry, self.info = _step(self.key, self.filter, self.model, carry, jnp.full_like(carry.y, jnp.nan), self._pending[-1])
+            self._pending = []
+
+    def _checked(self, y: Any) -> jax.Array:
+        y = jnp.atleast_1d(jnp.asarray(y, self.model.dtype))
+        if self._carry is None:
+            return checked_measurements(self.filter, self.model, y[None], jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], self._inputs))[0]
+        checks.shape("y", y, self._carry.y.shape, "(as the first one)")
+        if np.isinf(np.asarray(y)).any():
+            checks.refuse("y", "finite numbers, or NaN for what was not measured", np.asarray(y).tolist())
+        return y
+
+    def _opened(self, y: jax.Array | None) -> Carry:
+        if self._carry is None:
+            if y is None:
+                checks.refuse("predict", "a measurement of step 0 first", "none", "Call update(y) with NaN if nothing was measured.")
+            self._carry = _begin(self.key, self.filter, self.model, self._inputs, y)
+        return self._carry
+
+    @property
+    def t(self) -> int:
+        """Index of the present step."""
+        return 0 if self._carry is None else int(self._carry.step) + len(self._pending)
+
+    @property
+    def state(self) -> Any:
+        """The present law."""
+        if self._carry is None:
+            checks.refuse("stream", "a first measurement", "none yet", "Call update(y).")
+        return self._carry.state
+
+    @property
+    def mean(self) -> jax.Array:
+        """Mean of the present law, `(x,)`."""
+        return _moment(self.state, "mean")
+
+    @property
+    def cov(self) -> jax.Array:
+        """Covariance of the present law, `(x, x)`."""
+        return _moment(self.state, "cov")
+
+    @property
+    def log_likelihood(self) -> jax.Array:
+        """Log density of all measurements so far, `()`."""
+        return jnp.zeros(()) if self._carry is None else self._carry.evidence.value()
+
+    def save(self, path: str | Path) -> Path:
+        """Write a checkpoint (`.npz`), whole or not at all.
+
+        Raises:
+            FileError: the file cannot be written.
+            MotesError: nothing has been measured yet.
+        """
+        self._settle_pending()
+        texts = {"filter": repr(self.filter), "names": list(self.model.names), "updated": self._updated}
+        data = {"carry": self._carry_now(), "key": jax.random.key_data(self.key)}
+        return archive.write_tree(Path(path), data, texts, kind="checkpoint")
+
+    def _carry_now(self) -> Carry:
+        if self._carry is None:
+            checks.refuse("save", "a stream that has begun", "one without a measurement", "Call update(y) first.")
+        return self._carry
+
+    @classmethod
+    def load(cls, path: str | Path, filter: Filter, model: Any, inputs: Inputs = None) -> "Stream":
+        """Read a checkpoint back, for the same filter and model.
+
+        Args:
+            path: the file.
+            filter: the filter it was saved with.
+            model: the model it was saved with.
+            inputs: example of the inputs of one step, where they are more than an array or a dictionary of arrays.
+
+        Raises:
+            FileError: the file is damaged, no checkpoint, or of another filter or model; the message names the difference.
+        """
+        tree, texts = archive.read_tree(Path(path), kind="checkpoint")
+        for name, own in (("filter", repr(filter)), ("names", list(model.names))):
+            if texts[name] != own:
+                checks.refuse(f"{path}: {name}", str(own), str(texts[name]), "Give the filter and model it was saved with.", checks.FileError)
+        stream = cls(jax.random.wrap_key_data(jnp.asarray(tree["key"], jnp.uint32)), filter, model)
+        y = jnp.asarray(tree["carry"]["y"], model.dtype)
+        u = tree["carry"].get("u") if inputs is None else inputs
+        like = jax.eval_shape(_begin.__wrapped__, stream.key, filter, model, u, y)
+        stream._carry = archive.fill(Path(path), like, tree["carry"])
+        stream._updated = bool(texts["updated"])
+        return stream
+
+
+def stream(key: KeyLike, filter: Filter, model: Any, inputs: Inputs = None) -> Stream:
+    """Start on-line filtering; see `Stream`."""
+    return Stream(key, filter, model, inputs)
