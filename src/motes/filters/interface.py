@@ -77,6 +77,7 @@ def single(log_evidence: jax.Array, peak: jax.Array) -> Info:
     return replace(info, ess=jnp.full_like(log_evidence, jnp.inf))
 
 
+@record
 class Filter(ABC):
     """A filter. Subclasses are records; methods are pure and work under jit, vmap and grad.
 
@@ -89,6 +90,18 @@ class Filter(ABC):
     look_ahead: ClassVar[bool] = False
     has_evidence: ClassVar[bool] = True
     """Whether the filter moves only when it knows the next measurement."""
+
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: a knob has a value it cannot have; the message names it.
+        """
+        checks.option(f"{type(self).__name__} on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
+        self.check_knobs()
+
+    def check_knobs(self) -> None:  # noqa: B027 (most filters have nothing of their own to check)
+        """Refuse values of the filter's own knobs."""
 
     def prepare(self, model: Any, u: Any) -> Any:
         """Check that the model has what this filter needs and bring it into the filter's form; doing so twice changes nothing.
@@ -129,6 +142,7 @@ class Filter(ABC):
         return state, replace(info, collapsed=info.collapsed & ~missing, **silent)
 
 
+@record
 class TwoStageFilter(Filter):
     """A filter that predicts first and then corrects; most are. Subclasses write `init`, `predict` and `correct`."""
 

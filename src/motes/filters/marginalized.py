@@ -44,14 +44,13 @@ class MarginalizedParticleFilter(TwoStageFilter):
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
 
-    def __post_init__(self) -> None:
+    def check_knobs(self) -> None:
         """Check the knobs.
 
         Raises:
             MotesError: n is not a positive whole number, or another knob has the wrong kind.
         """
         checks.positive_integer("MarginalizedParticleFilter n", self.n)
-        checks.option("MarginalizedParticleFilter on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
         if self.linear is not None:
             object.__setattr__(self, "linear", (self.linear,) if isinstance(self.linear, str) else tuple(self.linear))
 

@@ -36,7 +36,7 @@ class ParticleFilter(TwoStageFilter):
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
 
-    def __post_init__(self) -> None:
+    def check_knobs(self) -> None:
         """Check the knobs.
 
         Raises:
@@ -45,7 +45,6 @@ class ParticleFilter(TwoStageFilter):
         checks.positive_integer("ParticleFilter n", self.n)
         if self.proposal is not None and not isinstance(self.proposal, Conditional):
             checks.refuse("ParticleFilter proposal", "a conditional such as AdditiveGaussian", type(self.proposal).__name__)
-        checks.option("ParticleFilter on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
 
     @property
     def look_ahead(self) -> bool:  # type: ignore[override]

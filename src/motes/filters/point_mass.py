@@ -35,7 +35,7 @@ class PointMassFilter(TwoStageFilter):
     upper: tuple[float, ...] = static()
     nodes: tuple[int, ...] = static()
 
-    def __post_init__(self) -> None:
+    def check_knobs(self) -> None:
         """Check the grid.
 
         Raises:
@@ -50,7 +50,6 @@ class PointMassFilter(TwoStageFilter):
             checks.refuse("PointMassFilter lower", "numbers below those of upper", f"{self.lower} and {self.upper}")
         for count in self.nodes:
             checks.positive_integer("PointMassFilter nodes", count)
-        checks.option("PointMassFilter on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for densities of the initial law, the dynamics and the sensor, and for as many states as the grid has dimensions.

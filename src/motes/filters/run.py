@@ -98,7 +98,7 @@ class Engine:
 
     def __init__(self, key: jax.Array, filter: Filter, model: Any):
         """Take the parts; models with correlated noises are decorrelated here."""
-        self.key, self.filter = key, filter
+        self.key, self.filter, self.given = key, filter, model
         self.correlated = isinstance(model, StateSpaceModel) and model.noise_cross_cov is not None
         self.model = decorrelated(model) if isinstance(model, StateSpaceModel) else model
 
@@ -111,7 +111,12 @@ class Engine:
         return Previous(u, before, y) if self.correlated else u
 
     def initial(self, u: Inputs, y: jax.Array) -> Carry:
-        """Return the law before y_0; of y only shape and type matter."""
+        """Check that the parts fit, and return the law before y_0; of y only shape and type matter."""
+        if isinstance(self.given, StateSpaceModel):
+            self.given.check(u)
+            size = measurement_size(self.given, u)
+            if size not in (None, y.shape[0]):
+                checks.refuse("ys", f"shape (t, {size}), as the sensor measures", f"{y.shape[0]} components")
         nothing = jnp.full_like(y, jnp.nan)
         model = self.prepared(self.driven(u, u, nothing))
         state = self.filter.init(random.child(random.step_key(self.key, 0), random.INITIAL), model)
@@ -169,20 +174,10 @@ def checked_measurements(filter: Filter, model: Any, ys: Any, inputs: Inputs) ->
     lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(inputs)}
     if lengths - {ys.shape[0]}:
         checks.refuse("inputs", f"arrays with the time axis first, {ys.shape[0]} steps as ys", f"first axes {sorted(map(str, lengths))}")
-    _check_fit(model, ys, step_inputs(inputs, 0))
-    return ys
-
-
-def _check_fit(model: Any, ys: jax.Array, u: Inputs) -> None:
-    if not isinstance(model, StateSpaceModel):
-        return
-    model.check(u)
-    size = measurement_size(model, u)
-    if size is not None and ys.shape[1] != size:
-        checks.refuse("ys", f"shape (t, {size}), as the sensor measures", f"shape {ys.shape}")
-    if not model.sensor.marginalizes and checks.is_concrete(ys):
+    if isinstance(model, StateSpaceModel) and not model.sensor.marginalizes and checks.is_concrete(ys):
         missing = np.isnan(np.asarray(ys))
         some = missing.any(axis=1) & ~missing.all(axis=1)
         if some.any():
             checks.refuse("ys", f"rows without NaN, or all NaN ({type(model.sensor).__name__} cannot leave out single components)",
                           f"row {int(np.argmax(some))} partly NaN", "Use a Gaussian sensor or noise with independent components.")
+    return ys

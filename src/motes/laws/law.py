@@ -77,6 +77,14 @@ class Foreign(Law):
         return jnp.sum(jnp.where(missing, 0, each), axis=-1)
 
 
+def drawn(law: Law) -> jax.ShapeDtypeStruct:
+    """Shape and type of one draw, `(x, 1)`, found without drawing."""
+    center = getattr(law, "center", None)
+    if center is not None:
+        return jax.ShapeDtypeStruct((center.shape[0], 1), center.dtype)
+    return jax.eval_shape(lambda law: law.sample(jax.random.key(0), 1), law)
+
+
 def as_law(argument: str, value: Any, size: int | None = None) -> Law:
     """Return a law, wrapping a foreign distribution.
 

@@ -10,7 +10,7 @@ from motes.core import checks, linalg, random
 from motes.core.record import record, static
 from motes.laws.conditional import AdditiveGaussian
 from motes.laws.gaussian import Gaussian
-from motes.laws.law import Law, as_law
+from motes.laws.law import Law, as_law, drawn
 from motes.models.state_space import StateSpaceModel
 
 
@@ -82,8 +82,7 @@ class MixedLinearModel:
     @property
     def sizes(self) -> tuple[int, int]:
         """Numbers of states in the particle part and in the Kalman part."""
-        drawn = jax.eval_shape(lambda law: law.sample(jax.random.key(0), 1), self.initial_p)
-        return drawn.shape[0], self.initial_k.center.shape[0]
+        return drawn(self.initial_p).shape[0], self.initial_k.center.shape[0]
 
     @property
     def size(self) -> int:

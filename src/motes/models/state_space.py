@@ -14,7 +14,7 @@ from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, KeyLike, MatrixLike
 from motes.laws.conditional import AdditiveGaussian, Conditional, check_matrix, matrix
-from motes.laws.law import Law, as_law
+from motes.laws.law import Law, as_law, drawn
 
 
 @record
@@ -53,7 +53,7 @@ class StateSpaceModel:
         for name, value in (("dynamics", dynamics), ("sensor", sensor)):
             if not isinstance(value, Conditional):
                 checks.refuse(f"StateSpaceModel {name}", "LinearGaussian, AdditiveGaussian, AdditiveNoise or Custom", type(value).__name__)
-        size = jax.eval_shape(lambda law: law.sample(jax.random.key(0), 1), initial).shape[0]
+        size = drawn(initial).shape[0]
         names = tuple(names) or tuple(f"x{i}" for i in range(size))
         if len(names) != size or len(set(names)) != size:
             checks.refuse("StateSpaceModel names", f"{size} different names, one per state", list(names))
@@ -71,7 +71,7 @@ class StateSpaceModel:
     @property
     def dtype(self) -> jnp.dtype:
         """Floating type of the states."""
-        return jax.eval_shape(lambda law: law.sample(jax.random.key(0), 1), self.initial).dtype
+        return drawn(self.initial).dtype
 
     def index(self, state: str | int) -> int:
         """Return the index of a state given by name or index.

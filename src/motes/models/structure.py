@@ -46,7 +46,7 @@ class Structure:
     def __str__(self) -> str:
         """Print as a table."""
         why = dict(self.reasons)
-        width = max(len(name) for name in self.names)
+        width = max(5, *(len(name) for name in self.names))
         lines = [f"{'state':<{width + 2}}part      why"]
         for i, name in enumerate(self.names):
             part = "Kalman" if i in self.linear else "particle"
