@@ -88,7 +88,7 @@ def covariance(argument: str, value: Any, size: int, definite: bool = False) -> 
         definite: ask for positive definite instead of positive semi-definite.
     """
     shape(argument, value, (size, size), "(a covariance matrix)")
-    if not is_concrete(value):
+    if not is_concrete(value) or size == 0:
         return
     matrix = np.asarray(value, dtype=np.float64)
     if not np.isfinite(matrix).all():

@@ -12,12 +12,14 @@ import numpy as np
 from motes.core.checks import refuse
 from motes.core.types import KeyLike
 
-PREDICT, UPDATE, INITIAL, RESAMPLE, NOISE, MEASURE = range(6)
-"""Purposes within one step: `child(key, PREDICT)` and so on never share numbers."""
+PREDICT, UPDATE, INITIAL, RESAMPLE, NOISE, MEASURE = range(2, 8)
+"""Purposes within one step: `child(key, PREDICT)` and so on never share numbers. 0 and 1 are free for laws that need two blocks."""
+
+_MARKS = np.random.SeedSequence(20041).generate_state(8, np.uint32)
 
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _PARITY = np.uint32(0x1BD11BDA)
-_STEP_TAG, _CHILD_TAG, _UNIFORM_TAG = (np.uint32(0x5354), np.uint32(0x4348), np.uint32(0x80000000))
+_STEP_TAG, _UNIFORM_TAG = np.uint32(0x53544550), np.uint32(0x80000000)
 _BELOW_ONE = np.float32(1 - 2**-24)
 
 
@@ -40,12 +42,20 @@ def as_key(key: KeyLike) -> jax.Array:
 
 def step_key(key: jax.Array, step: jax.Array | int) -> jax.Array:
     """Return the key of one time step."""
-    return _fold(key, jnp.asarray(step).astype(jnp.uint32), _STEP_TAG)
+    data = jax.random.key_data(key)
+    folded = _threefry(data[0], data[1], jnp.asarray(step).astype(jnp.uint32), jnp.full((), _STEP_TAG))
+    return jax.random.wrap_key_data(jnp.stack(folded), impl="threefry2x32")
 
 
-def child(key: jax.Array, purpose: jax.Array | int) -> jax.Array:
-    """Return the key for one purpose within a step."""
-    return _fold(key, jnp.asarray(purpose).astype(jnp.uint32), _CHILD_TAG)
+def child(key: jax.Array, purpose: int) -> jax.Array:
+    """Return the key for one of eight purposes within a step.
+
+    Threefry makes independent numbers from keys that differ in a single bit, so marking the key is enough; the rotation keeps a child of a
+    child apart from the children of others.
+    """
+    data = jax.random.key_data(key)
+    rotated = (data[0] << 11) | (data[0] >> 21)
+    return jax.random.wrap_key_data(jnp.stack([rotated ^ _MARKS[purpose], data[1] + _MARKS[purpose]]), impl="threefry2x32")
 
 
 def split(key: jax.Array, n: int) -> jax.Array:
@@ -84,13 +94,10 @@ def _words(key: jax.Array, shape: tuple[int, ...], tag: np.uint32 = np.uint32(0)
     counters = jnp.arange(shape[-1], dtype=jnp.uint32)[None, :]
     lines = jnp.arange(rows, dtype=jnp.uint32)[:, None] ^ tag
     data = jax.random.key_data(key)
-    first, second = _threefry(data[0], data[1], jnp.broadcast_to(counters, (rows, shape[-1])), lines)
+    words = _threefry(data[0], data[1], jnp.broadcast_to(counters, (rows, shape[-1])), lines)
+    # without the barrier compilers work the twenty rounds out again in every loop that uses the numbers
+    first, second = jax.lax.optimization_barrier(words)
     return first.reshape(shape), second.reshape(shape)
-
-
-def _fold(key: jax.Array, number: jax.Array, tag: np.uint32) -> jax.Array:
-    data = jax.random.key_data(key)
-    return jax.random.wrap_key_data(jnp.stack(_threefry(data[0], data[1], number, tag)), impl="threefry2x32")
 
 
 def _threefry(key0: jax.Array, key1: jax.Array, counter0: jax.Array, counter1: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -116,7 +116,7 @@ class History:
         lowest, highest = float(self.info.lowest[where]), float(self.info.highest[where])
         raise checks.CollapseError(
             f"step {int(self.start) + where}: all weights vanished: log likelihoods between {lowest:.4g} and {highest:.4g}; "
-            f"no particle explains the measurement ({self.label[:80]}). Check the measurement and the noises, use more particles, "
+            f"no particle explains the measurement ({self.label.split('(')[0]}). Check the measurement and the noises, use more particles, "
             "or set on_collapse='predict' or 'inflate'."
         )
 

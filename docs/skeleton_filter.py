@@ -1,0 +1,50 @@
+"""Skeleton of a filter: copy to src/motes/filters/, rename, and write the three methods. The contract suite runs this file as it is.
+
+First lines of a real one: the method's name, the paper and its equations, the algorithm in three to six lines of words.
+"""
+
+from typing import Any
+
+import jax
+
+from motes.core import checks, random
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info, TwoStageFilter, as_state_space, weigh
+from motes.laws.cloud import Cloud
+from motes.models.state_space import StateSpaceModel
+from motes.resampling.policy import Always, resample
+from motes.resampling.schemes import Systematic
+
+
+@record
+class SkeletonFilter(TwoStageFilter):
+    """A bootstrap filter in its shortest form; its state is a `Cloud`.
+
+    Attributes:
+        n: number of particles.
+    """
+
+    n: int = static()
+
+    def check_knobs(self) -> None:
+        """Refuse values that a knob cannot have."""
+        checks.positive_integer("SkeletonFilter n", self.n)
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for what this filter needs of a model; say what to use instead where it is missing."""
+        return as_state_space("SkeletonFilter", model)
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
+        """Return the law before the first measurement."""
+        return Cloud.equal(model.initial.sample(key, self.n))
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
+        """Resample at the start, then move to time t; noise is drawn as one block."""
+        cloud = resample(random.child(key, random.RESAMPLE), Systematic(), Always(), state)
+        return replace(cloud, particles=model.dynamics.sample(random.child(key, random.NOISE), cloud.particles, u, t))
+
+    def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+        """Take in y; missing components, collapse and its policy are seen to by `weigh` and the base class."""
+        likelihood = model.sensor.log_prob(y, state.particles, u, t)
+        weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
+        return replace(state, log_weights=weights), info

@@ -1,0 +1,22 @@
+"""Settings of the whole suite."""
+
+import os
+
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+import jax
+import pytest
+
+
+@pytest.fixture(params=["float32", "float64"])
+def precision(request):
+    """Run a test in both precisions."""
+    with jax.enable_x64(request.param == "float64"):
+        yield request.param
+
+
+@pytest.fixture
+def double():
+    """Run a test in float64."""
+    with jax.enable_x64(True):
+        yield

@@ -1,0 +1,57 @@
+"""Finds every filter in motes.filters (and the skeleton of CONTRIBUTING) and makes one of each to test."""
+
+import dataclasses
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+from pathlib import Path
+
+import motes.filters
+from motes.filters.interface import Filter
+
+SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
+
+KNOBS = {"n": 300, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (45, 43)}
+"""Values for knobs that have no default; a new filter whose knob is not listed here says so by failing."""
+
+
+def _modules():
+    for module in pkgutil.iter_modules(motes.filters.__path__):
+        yield importlib.import_module(f"motes.filters.{module.name}")
+    spec = importlib.util.spec_from_file_location("skeleton_filter", SKELETON)
+    skeleton = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(skeleton)
+    yield skeleton
+
+
+def filter_classes():
+    """Every concrete filter class, by name."""
+    found = {}
+    for module in _modules():
+        for value in vars(module).values():
+            own = inspect.isclass(value) and issubclass(value, Filter) and value.__module__ == module.__name__
+            if own and not inspect.isabstract(value):
+                found[value.__name__] = value
+    return found
+
+
+def example(cls, **changes):
+    """One filter of a class, with the required knobs filled in."""
+    needed = [f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING]
+    knobs = {name: KNOBS[name] for name in needed}
+    return cls(**{**knobs, **changes})
+
+
+def examples():
+    """Filters to test: one of each class, and the variants that take other paths through a class."""
+    import motes as mo
+
+    found = {name: example(cls) for name, cls in filter_classes().items()}
+    proposal = mo.AdditiveGaussian(lambda x, uy, t: 0.8 * x, [[1.5, 0.2], [0.2, 1.0]])
+    found["ParticleFilter, proposal"] = mo.ParticleFilter(n=300, proposal=proposal)
+    found["ParticleFilter, SIR stratified"] = mo.ParticleFilter(n=300, scheme=mo.Stratified(), policy=mo.Always())
+    found["ParticleFilter, SIS"] = mo.ParticleFilter(n=300, policy=mo.Never())
+    found["MarginalizedParticleFilter, one state"] = mo.MarginalizedParticleFilter(n=300, linear=("b",))
+    found["MarginalizedParticleFilter, none"] = mo.MarginalizedParticleFilter(n=300, linear=())
+    return found
