@@ -1,0 +1,428 @@
+import contextlib
+import os
+import socket
+import struct
+import warnings
+import zipfile
+
+import numpy as np
+import pytest
+from data import recorded, refused
+
+from motes.core.checks import FileError
+from motes.io.rasters import Raster, jacksboro, meters_per_degree, mosaic, read_raster
+
+rasterio = pytest.importorskip("rasterio")
+Affine = rasterio.transform.Affine
+HEIGHTS = np.add.outer(np.arange(12) * 10, np.arange(9)).astype(np.int16)
+
+
+def geotiff(path, heights=HEIGHTS, crs="EPSG:4326", transform=Affine(0.001, 0, 5, 0, -0.001, 45), unit=None, **options):
+    bands = heights if heights.ndim == 3 else heights[None]
+    shape = {"width": bands.shape[2], "height": bands.shape[1], "count": bands.shape[0], "dtype": bands.dtype.name}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(path, "w", driver="GTiff", crs=crs, transform=transform, **shape, **options) as file:
+            file.write(bands)
+            if unit:
+                file.units = (unit,) * len(bands)
+    return path
+
+
+def dted(path, heights=None, latitude=44, longitude=5, interval=(300, 300), before=b""):
+    """Write a DTED file byte by byte; heights have row 0 in the south, like the profiles of the format."""
+    heights = np.add.outer(np.arange(121), np.arange(121)) if heights is None else heights
+    rows, columns = heights.shape
+    sides = b"N" if latitude >= 0 else b"S", b"E" if longitude >= 0 else b"W"
+    y, x = abs(latitude), abs(longitude)
+    uhl = b"UHL1%03d0000%s%03d0000%s%04d%04d" % (x, sides[1], y, sides[0], interval[1], interval[0])
+    uhl = (uhl + b"0010U  " + b" " * 12 + b"%04d%04d0" % (columns, rows)).ljust(80)
+    dsi = bytearray(b" " * 648)
+    dsi[0:4], dsi[59:64] = b"DSIU", b"DTED1"
+    dsi[141:144], dsi[144:149] = b"MSL", b"WGS84"
+    dsi[185:204] = b"%02d0000.0%s%03d0000.0%s" % (y, sides[0], x, sides[1])
+    dsi[273:289] = b"%04d%04d%04d%04d" % (*interval, rows, columns)
+    records = []
+    for column in range(columns):
+        words = [abs(int(v)) | (0x8000 if v < 0 else 0) for v in heights[:, column]]
+        body = struct.pack(f">BBHHH{rows}H", 0xAA, 0, column, column, 0, *words)
+        records.append(body + struct.pack(">I", sum(body)))
+    path.write_bytes(before + uhl + bytes(dsi) + b"ACC".ljust(2700) + b"".join(records))
+    return path
+
+
+def hgt(folder, name="N44E005.hgt", value=100, cells=1201 * 1201):
+    heights = np.full(cells, value, ">i2")
+    heights[:2] = 250, -32768
+    (folder / name).write_bytes(heights.tobytes())
+    return folder / name
+
+
+def npz(path, **changes):
+    values = {"elevation": HEIGHTS, "xmin": 5.0, "xmax": 5.009, "ymin": 45.0, "ymax": 44.988, "dx": 0.001, "dy": 0.001}
+    np.savez(path, **{**values, **changes})
+    return path
+
+
+def raster(heights, north, west, **changes):
+    fields = {"dy": 0.5, "dx": 0.25, "crs": "geographic", "epsg": 4326, "source": "tile"}
+    return Raster(np.asarray(heights, np.float32), north, west, **{**fields, **changes})
+
+
+def patched(path, at, new):
+    data = bytearray(path.read_bytes())
+    data[at : at + len(new)] = new
+    path.write_bytes(data)
+    return path
+
+
+# good files ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "extent", "low", "high", "void"),
+    [
+        ("terrain/dted/w122/n36.dt1", (36, -122, 37, -121), -23, 1783, 0.0005),
+        ("terrain/dted/w121/n36.dt1", (36, -121, 37, -120), 17, 1593, 0.00004),
+        ("terrain/dted/e000_n05.dt0", (5, 0, 6, 1), 0, 268, 0),
+        ("terrain/hgt/N44E005.hgt", (44, 5, 45, 6), 32, 2757, 0.0033),
+    ],
+)
+def test_recorded_tiles_have_posts_on_whole_degrees(name, extent, low, high, void):
+    tile = read_raster(recorded(name))
+    assert tile.extent == pytest.approx(extent, abs=1e-9) and (tile.crs, tile.epsg) == ("geographic", 4326)
+    assert (np.nanmin(tile.heights), np.nanmax(tile.heights)) == (low, high)
+    assert np.isnan(tile.heights).mean() == pytest.approx(void, abs=6e-5) and tile.heights.dtype == np.float32
+
+
+def test_recorded_geotiff_has_centers_of_cells():
+    tile = read_raster(recorded("terrain/geotiff/srtm_bigtujunga30m_utm11.tif"))
+    assert (tile.crs, tile.epsg, tile.dy, tile.dx) == ("projected", 32611, 30, 30)
+    assert (tile.north, tile.west) == pytest.approx((3807917.8276283755 - 15, 376313.6554542635 + 15))
+    assert tile.heights.shape == (643, 1197) and not np.isnan(tile.heights).any()
+
+
+def test_dted_agrees_with_its_bytes(tmp_path):
+    heights = np.arange(121 * 121).reshape(121, 121) % 5000 - 500
+    heights[3, 4] = -32767
+    tile = read_raster(dted(tmp_path / "any.name", heights, -44, -5, before=b"VOL".ljust(80) + b"HDR".ljust(80)))
+    assert tile.extent == pytest.approx((-44, -5, -43, -4))
+    expected = np.where(heights == -32767, np.nan, heights)[::-1]
+    np.testing.assert_array_equal(tile.heights, expected)
+
+
+def test_dted_above_50_degrees_has_wider_columns(tmp_path):
+    tile = read_raster(dted(tmp_path / "n59.dt0", np.ones((121, 61), int), 59, 10, (300, 600)))
+    assert tile.extent == pytest.approx((59, 10, 60, 11))
+    assert (tile.dy, tile.dx) == pytest.approx((1 / 120, 1 / 60))
+    assert tile.spacing_m() == pytest.approx((928.4, 944.6), rel=1e-3)
+
+
+@pytest.mark.parametrize(("name", "south", "west"), [("N44E005.hgt", 44, 5), ("s01w180.HGT", -1, -180)])
+def test_hgt_goes_by_its_name(tmp_path, name, south, west):
+    tile = read_raster(hgt(tmp_path, name))
+    assert tile.extent == pytest.approx((south, west, south + 1, west + 1))
+    assert tile.heights[0, 0] == 250 and np.isnan(tile.heights[0, 1]) and tile.heights[1, 0] == 100
+
+
+def test_hgt_of_one_arc_second_at_high_latitude(tmp_path):
+    tile = read_raster(hgt(tmp_path, "N64E010.hgt", cells=1801 * 3601))
+    assert tile.heights.shape == (3601, 1801) and tile.extent == pytest.approx((64, 10, 65, 11))
+
+
+@pytest.mark.parametrize("options", [{}, {"compress": "deflate"}, {"BIGTIFF": "YES"}, {"ENDIANNESS": "BIG"}])
+def test_geotiff_layouts(tmp_path, options):
+    tile = read_raster(geotiff(tmp_path / "map.dat", **options))
+    np.testing.assert_array_equal(tile.heights, HEIGHTS)
+    assert (tile.north, tile.west) == pytest.approx((44.9995, 5.0005))
+
+
+def test_geotiff_of_points_equals_that_of_areas(tmp_path):
+    path = tmp_path / "point.tif"
+    with rasterio.open(geotiff(path), "r+") as file:
+        file.update_tags(AREA_OR_POINT="Point")
+    tile = read_raster(path)
+    assert (tile.north, tile.west) == pytest.approx((44.9995, 5.0005))
+
+
+def test_geotiff_stored_from_the_south_is_turned(tmp_path):
+    tile = read_raster(geotiff(tmp_path / "up.tif", HEIGHTS[::-1].copy(), transform=Affine(0.001, 0, 5, 0, 0.001, 44.988)))
+    np.testing.assert_array_equal(tile.heights, HEIGHTS)
+    assert tile.north == pytest.approx(44.9995)
+
+
+def test_undeclared_voids_of_whole_numbers_are_voids(tmp_path):
+    heights = HEIGHTS.copy()
+    heights[0, :3] = -32768, -32767, -600
+    tile = read_raster(geotiff(tmp_path / "a.tif", heights))
+    np.testing.assert_array_equal(np.isnan(tile.heights).nonzero(), ([0, 0], [0, 1]))
+
+
+@pytest.mark.parametrize("void", [-9999.0, 9999.0, -3.4028234663852886e38])
+def test_declared_and_named_voids(tmp_path, void):
+    heights = HEIGHTS.astype(np.float32)
+    heights[2, 3] = void
+    declared = read_raster(geotiff(tmp_path / "a.tif", heights, nodata=void))
+    named = read_raster(geotiff(tmp_path / "b.tif", heights), nodata=void)
+    for tile in (declared, named):
+        np.testing.assert_array_equal(np.isnan(tile.heights).nonzero(), ([2], [3]))
+
+
+def test_meters_may_be_declared(tmp_path):
+    assert read_raster(geotiff(tmp_path / "a.tif", unit="metre")).heights.shape == HEIGHTS.shape
+    assert read_raster(geotiff(tmp_path / "b.tif", crs="EPSG:4326+5773")).epsg == 9707
+
+
+def test_no_file_is_written_and_no_connection_opened(tmp_path, monkeypatch, capfd):
+    def never(*_):
+        raise AssertionError("connected")
+
+    monkeypatch.setattr(socket.socket, "connect", never)
+    for path in (geotiff(tmp_path / "a.tif"), dted(tmp_path / "b.dt0"), hgt(tmp_path), npz(tmp_path / "c.npz")):
+        read_raster(path)
+    assert sorted(os.listdir(tmp_path)) == ["N44E005.hgt", "a.tif", "b.dt0", "c.npz"]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_jacksboro_has_row_0_in_the_north():
+    tile = jacksboro()
+    assert tile.heights.shape == (344, 403) and (tile.heights.min(), tile.heights.max()) == (236, 1076)
+    # posts of SRTM lie on whole multiples of 3 arc-seconds, which the centers do and the edges in the file do not
+    assert (tile.north * 1200, tile.west * 1200) == pytest.approx((44079, -101296), abs=1e-6)
+    assert tile.south < tile.north
+    # the fault's straight scarp north-west of the valley: plateau in the north-west, low ground in the south-east
+    rows, columns = (size // 2 for size in tile.heights.shape)
+    assert tile.heights[:rows, :columns].mean() > tile.heights[rows:, columns:].mean()
+
+
+def test_npz_by_matplotlib_convention(tmp_path):
+    tile = read_raster(npz(tmp_path / "map.npz", elevation=np.asfortranarray(HEIGHTS)))
+    np.testing.assert_array_equal(tile.heights, HEIGHTS)
+    assert (tile.north, tile.west) == pytest.approx((44.9995, 5.0005))
+
+
+def test_degrees_have_their_geodetic_lengths():
+    # published lengths of a degree on WGS 84
+    assert meters_per_degree(0) == pytest.approx((110574.3, 111319.5), abs=0.1)
+    assert meters_per_degree(45) == pytest.approx((111131.8, 78846.8), abs=0.1)
+    pyproj = pytest.importorskip("pyproj")
+    geod = pyproj.Geod(ellps="WGS84")
+    _, _, north = geod.inv(10, 59.999, 10, 60.001)
+    _, _, east = geod.inv(9.999, 60, 10.001, 60)
+    assert (north / 0.002, east / 0.002) == pytest.approx(meters_per_degree(60), rel=1e-6)
+
+
+# refusals ------------------------------------------------------------------------------------------------------------
+
+VRT = b'<VRTDataset rasterXSize="2" rasterYSize="2"><VRTRasterBand dataType="Int16"/></VRTDataset>'
+
+
+def sparse(path):
+    return geotiff(path, SPARSE_OK=True, tiled=True, blockxsize=16, blockysize=16, heights=np.zeros((40, 40), np.int16))
+
+
+def lying(path):
+    """A GeoTIFF of a few hundred bytes whose header asks for 60000 by 60000 heights."""
+    geotiff(path)
+    data = path.read_bytes()
+    for tag, value in ((256, 60000), (257, 60000)):
+        at = data.index(struct.pack("<HHI", tag, 3, 1))
+        data = data[: at + 8] + struct.pack("<H", value) + data[at + 10 :]
+    path.write_bytes(data)
+    return path
+
+
+def cut(path, share):
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+    return path
+
+
+def written(path, data):
+    path.write_bytes(data)
+    return path
+
+
+def with_height(value, kind=np.float32):
+    heights = HEIGHTS.astype(kind)
+    heights[7, 2] = value
+    return heights
+
+
+REFUSED = {
+    "missing": (lambda d: d / "none.tif", "No such file"),
+    "folder": (lambda d: d, "plain file"),
+    "empty": (lambda d: written(d / "a.tif", b""), "empty"),
+    "unknown": (lambda d: written(d / "a.tif", b"\x89PNG\r\n\x1a\n" + bytes(99)), "first bytes"),
+    "vrt": (lambda d: written(d / "a.tif", VRT), "first bytes"),
+    "vrt as hgt": (lambda d: written(d / "N44E005.hgt", VRT), "bytes"),
+    "tiff cut": (lambda d: cut(geotiff(d / "a.tif", np.tile(HEIGHTS, (30, 30)), tiled=True, blockxsize=64, blockysize=64), 0.7), ""),
+    "tiff head only": (lambda d: written(d / "a.tif", b"II*\0\x08\0\0\0"), "GTiff"),
+    "tiff lying": (lambda d: lying(d / "a.tif"), "60000"),
+    "tiff sparse": (lambda d: sparse(d / "a.tif"), "block"),
+    "tiff no crs": (lambda d: geotiff(d / "a.tif", crs=None), "georeference"),
+    "tiff no position": (lambda d: geotiff(d / "a.tif", transform=Affine.identity()), "georeference"),
+    "tiff rotated": (lambda d: geotiff(d / "a.tif", transform=Affine(0.001, 0.0002, 5, 0, -0.001, 45)), "rows"),
+    "tiff mirrored": (lambda d: geotiff(d / "a.tif", transform=Affine(-0.001, 0, 5, 0, -0.001, 45)), "rows"),
+    "tiff bands": (lambda d: geotiff(d / "a.tif", np.stack([HEIGHTS] * 3)), "3 bands"),
+    "tiff complex": (lambda d: geotiff(d / "a.tif", HEIGHTS.astype(np.complex64)), "complex64"),
+    "tiff feet": (lambda d: geotiff(d / "a.tif", unit="ft"), "'ft'"),
+    "tiff vertical feet": (lambda d: geotiff(d / "a.tif", crs="EPSG:4326+6360"), "US survey foot"),
+    "tiff map in feet": (lambda d: geotiff(d / "a.tif", crs="EPSG:2229", transform=Affine(30, 0, 6e6, 0, -30, 2e6)), "foot"),
+    "tiff geocentric": (lambda d: geotiff(d / "a.tif", crs="EPSG:4978"), "reference system"),
+    "tiff beyond pole": (lambda d: geotiff(d / "a.tif", transform=Affine(0.001, 0, 5, 0, -0.001, 95)), "95"),
+    "tiff one row": (lambda d: geotiff(d / "a.tif", HEIGHTS[:1]), "1 rows"),
+    "tiff 9999": (lambda d: geotiff(d / "a.tif", with_height(9999)), "nodata=9999"),
+    "tiff -9999": (lambda d: geotiff(d / "a.tif", with_height(-9999)), "row 7, column 2"),
+    "tiff -601": (lambda d: geotiff(d / "a.tif", with_height(-601, np.int16)), "-601"),
+    "tiff infinite": (lambda d: geotiff(d / "a.tif", with_height(np.inf)), "inf"),
+    "tiff all void": (lambda d: geotiff(d / "a.tif", np.full_like(HEIGHTS, -32768)), "voids only"),
+    "dted flipped bit": (lambda d: patched(dted(d / "a.dt0"), 3428 + 254 * 5 + 101, b"\x7f"), "checksum"),
+    "dted checksum": (lambda d: patched(dted(d / "a.dt0"), 3428 + 254 * 6 - 1, b"\xee"), "checksum"),
+    "dted columns": (lambda d: patched(dted(d / "a.dt0"), 47, b"0242"), "columns"),
+    "dted columns halved": (lambda d: patched(dted(d / "a.dt0"), 47, b"0061"), "columns"),
+    "dted letters": (lambda d: patched(dted(d / "a.dt0"), 47, b"12x1"), "UHL columns"),
+    "dted hemisphere": (lambda d: patched(dted(d / "a.dt0"), 19, b"S"), "DSI latitude"),
+    "dted interval": (lambda d: patched(dted(d / "a.dt0"), 20, b"0030"), "longitude interval"),
+    "dted latitude": (lambda d: patched(dted(d / "a.dt0"), 12, b"095"), "90 degrees"),
+    "dted cut": (lambda d: cut(dted(d / "a.dt0"), 0.5), "bytes"),
+    "dted head only": (lambda d: written(d / "a.dt0", b"UHL1"), "DSI"),
+    "dted all void": (lambda d: dted(d / "a.dt0", np.full((121, 121), -32767)), "voids only"),
+    "hgt size": (lambda d: hgt(d, cells=1200 * 1200), "2880000 bytes"),
+    "hgt name": (lambda d: hgt(d, "tile.hgt"), "N44E005.hgt"),
+    "hgt latitude": (lambda d: hgt(d, "N95E005.hgt"), "N95"),
+    "hgt longitude": (lambda d: hgt(d, "N44E180.hgt"), "E180"),
+    "hgt all void": (lambda d: written(d / "N44E005.hgt", b"\x80\0" * 1201 * 1201), "voids only"),
+    "npz cut": (lambda d: cut(npz(d / "a.npz"), 0.6), "npz"),
+    "npz other": (lambda d: npz(d / "a.npz", elevation=np.ones(4)), "matrix"),
+    "npz upside down": (lambda d: npz(d / "a.npz", ymin=44.988, ymax=45.0), "ymin"),
+    "npz objects": (lambda d: npz(d / "a.npz", elevation=np.array([[1, "a"], [None, 2]], object)), "object"),
+    "npz scale": (lambda d: npz(d / "a.npz", dx=np.nan), "'dx'"),
+    "npz pole": (lambda d: npz(d / "a.npz", ymin=95.0, ymax=94.988), "globe"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_files_are_refused_in_one_line(case, tmp_path, capfd):
+    make, word = REFUSED[case]
+    path = make(tmp_path)
+    with pytest.raises(FileError) as error:
+        read_raster(path)
+    refused(error, word, path.name)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_npz_that_is_another_archive(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("readme.txt", "hello")
+    with pytest.raises(FileError) as error:
+        read_raster(tmp_path / "a.npz")
+    refused(error, "elevation", "readme.txt", "a.npz")
+
+
+def test_a_lying_npz_member_is_refused_before_memory_is_taken(tmp_path):
+    head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (90000, 90000), }".ljust(117) + b"\n"
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("elevation.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head)
+    with pytest.raises(FileError) as error:
+        read_raster(tmp_path / "a.npz")
+    refused(error, "(90000, 90000)")
+
+
+def test_largest_is_a_limit_on_heights(tmp_path):
+    for path in (geotiff(tmp_path / "a.tif"), dted(tmp_path / "b.dt0"), npz(tmp_path / "c.npz"), hgt(tmp_path)):
+        with pytest.raises(FileError) as error:
+            read_raster(path, largest=107)
+        refused(error, "107", path.name)
+
+
+def test_long_and_strange_names_stay_on_one_line(tmp_path):
+    path = written(tmp_path / ("x" * 180 + "\n\x1b[31m.tif"), b"junk")
+    with pytest.raises(FileError) as error:
+        read_raster(path)
+    refused(error, ".tif", "first bytes")
+
+
+# mosaics -------------------------------------------------------------------------------------------------------------
+
+
+def test_recorded_neighbors_join_without_a_seam():
+    west, east = (read_raster(recorded(f"terrain/dted/{side}/n36.dt1")) for side in ("w122", "w121"))
+    for pair in ((west, east), (east, west)):
+        whole = mosaic(pair)
+        assert whole.heights.shape == (1201, 2401) and whole.extent == pytest.approx((36, -122, 37, -120))
+        np.testing.assert_array_equal(whole.heights[:, :1200], west.heights[:, :1200])
+        np.testing.assert_array_equal(whole.heights[:, 1201:], east.heights[:, 1:])
+        shared = whole.heights[:, 1200]
+        np.testing.assert_array_equal(np.isnan(shared), np.isnan(west.heights[:, -1]) & np.isnan(east.heights[:, 0]))
+
+
+def test_measured_values_win_over_voids_on_shared_posts():
+    west = raster([[1, np.nan], [3, 4]], 10.0, 0.0)
+    east = raster([[20, 5], [40, 6]], 10.0, 0.25, source="east")
+    np.testing.assert_array_equal(mosaic([west, east]).heights, [[1, 20, 5], [3, 4, 6]])
+    np.testing.assert_array_equal(mosaic([east, west]).heights, [[1, 20, 5], [3, 40, 6]])
+
+
+def test_abutting_tiles_and_gaps():
+    north_west, south_east = raster([[1, 2], [3, 4]], 10.0, 0.0), raster([[5, 6], [7, 8]], 9.0, 0.5)
+    whole = mosaic([south_east, north_west])
+    nan = np.nan
+    np.testing.assert_array_equal(whole.heights, [[1, 2, nan, nan], [3, 4, nan, nan], [nan, nan, 5, 6], [nan, nan, 7, 8]])
+    assert whole.extent == (8.5, 0.0, 10.0, 0.75)
+
+
+@pytest.mark.parametrize(
+    ("other", "word"),
+    [
+        ({"dx": 0.5}, "spacing"),
+        ({"dy": 0.51}, "spacing"),
+        ({"west": 0.6}, "lattice"),
+        ({"north": 10.2}, "lattice"),
+        ({"crs": "projected", "epsg": 32611}, "EPSG 32611"),
+        ({"epsg": 4269}, "4269"),
+        ({"west": 1e9}, "at most"),
+    ],
+)
+def test_tiles_that_do_not_fit_are_refused(other, word):
+    first = raster(np.ones((2, 2)), 10.0, 0.0)
+    with pytest.raises(FileError) as error:
+        mosaic([first, raster(np.ones((2, 2)), **{"north": 10.0, "west": 0.5, "source": "n36.dt1", **other})])
+    refused(error, word, "n36.dt1")
+
+
+def test_nothing_to_join_is_refused():
+    with pytest.raises(FileError) as error:
+        mosaic([])
+    refused(error, "rasters")
+    unnamed = raster(np.ones((2, 2)), 0.0, 0.0, crs="projected", epsg=None)
+    with pytest.raises(FileError) as error:
+        mosaic([unnamed, raster(np.ones((2, 2)), 0.0, 0.5, crs="projected", epsg=None, source="b.tif")])
+    refused(error, "b.tif", "EPSG")
+
+
+# mutations -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda d: geotiff(d / "a.tif"),
+        lambda d: geotiff(d / "b.tif", np.tile(HEIGHTS, (4, 4)), tiled=True, blockxsize=16, blockysize=16, compress="lzw"),
+        lambda d: dted(d / "c.dt0", np.ones((21, 21), int), interval=(1800, 1800)),
+        lambda d: npz(d / "d.npz"),
+    ],
+    ids=["geotiff", "compressed geotiff", "dted", "npz"],
+)
+def test_mutated_files_are_read_or_refused(make, tmp_path):
+    path = make(tmp_path)
+    good = path.read_bytes()
+    draw = np.random.default_rng(20)
+    read_raster(path)
+    for _ in range(200):
+        data = np.frombuffer(good, np.uint8).copy()
+        # headers matter most: every second change falls into the first bytes
+        limit = len(data) if draw.random() < 0.5 else min(len(data), 800)
+        data[draw.integers(limit, size=draw.integers(1, 5))] = draw.integers(256)
+        path.write_bytes(data.tobytes()[: len(data) if draw.random() < 0.8 else int(draw.integers(1, len(data)))])
+        with contextlib.suppress(FileError):
+            assert np.isfinite(read_raster(path).heights).any()
