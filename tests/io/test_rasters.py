@@ -7,17 +7,19 @@ import zipfile
 
 import numpy as np
 import pytest
-from data import recorded, refused
 
+from data import recorded, refused
 from motes.core.checks import FileError
 from motes.io.rasters import Raster, jacksboro, meters_per_degree, mosaic, read_raster
 
 rasterio = pytest.importorskip("rasterio")
+pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
 Affine = rasterio.transform.Affine
+NORTH_UP = Affine(0.001, 0, 5, 0, -0.001, 45)
 HEIGHTS = np.add.outer(np.arange(12) * 10, np.arange(9)).astype(np.int16)
 
 
-def geotiff(path, heights=HEIGHTS, crs="EPSG:4326", transform=Affine(0.001, 0, 5, 0, -0.001, 45), unit=None, **options):
+def geotiff(path, heights=HEIGHTS, crs="EPSG:4326", transform=NORTH_UP, unit=None, **options):
     bands = heights if heights.ndim == 3 else heights[None]
     shape = {"width": bands.shape[2], "height": bands.shape[1], "count": bands.shape[0], "dtype": bands.dtype.name}
     with warnings.catch_warnings():
@@ -146,7 +148,9 @@ def test_geotiff_of_points_equals_that_of_areas(tmp_path):
 
 
 def test_geotiff_stored_from_the_south_is_turned(tmp_path):
-    tile = read_raster(geotiff(tmp_path / "up.tif", HEIGHTS[::-1].copy(), transform=Affine(0.001, 0, 5, 0, 0.001, 44.988)))
+    tile = read_raster(
+        geotiff(tmp_path / "up.tif", HEIGHTS[::-1].copy(), transform=Affine(0.001, 0, 5, 0, 0.001, 44.988))
+    )
     np.testing.assert_array_equal(tile.heights, HEIGHTS)
     assert tile.north == pytest.approx(44.9995)
 
@@ -255,7 +259,10 @@ REFUSED = {
     "unknown": (lambda d: written(d / "a.tif", b"\x89PNG\r\n\x1a\n" + bytes(99)), "first bytes"),
     "vrt": (lambda d: written(d / "a.tif", VRT), "first bytes"),
     "vrt as hgt": (lambda d: written(d / "N44E005.hgt", VRT), "bytes"),
-    "tiff cut": (lambda d: cut(geotiff(d / "a.tif", np.tile(HEIGHTS, (30, 30)), tiled=True, blockxsize=64, blockysize=64), 0.7), ""),
+    "tiff cut": (
+        lambda d: cut(geotiff(d / "a.tif", np.tile(HEIGHTS, (30, 30)), tiled=True, blockxsize=64, blockysize=64), 0.7),
+        "",
+    ),
     "tiff head only": (lambda d: written(d / "a.tif", b"II*\0\x08\0\0\0"), "GTiff"),
     "tiff lying": (lambda d: lying(d / "a.tif"), "60000"),
     "tiff sparse": (lambda d: sparse(d / "a.tif"), "block"),
@@ -267,7 +274,10 @@ REFUSED = {
     "tiff complex": (lambda d: geotiff(d / "a.tif", HEIGHTS.astype(np.complex64)), "complex64"),
     "tiff feet": (lambda d: geotiff(d / "a.tif", unit="ft"), "'ft'"),
     "tiff vertical feet": (lambda d: geotiff(d / "a.tif", crs="EPSG:4326+6360"), "US survey foot"),
-    "tiff map in feet": (lambda d: geotiff(d / "a.tif", crs="EPSG:2229", transform=Affine(30, 0, 6e6, 0, -30, 2e6)), "foot"),
+    "tiff map in feet": (
+        lambda d: geotiff(d / "a.tif", crs="EPSG:2229", transform=Affine(30, 0, 6e6, 0, -30, 2e6)),
+        "foot",
+    ),
     "tiff geocentric": (lambda d: geotiff(d / "a.tif", crs="EPSG:4978"), "reference system"),
     "tiff beyond pole": (lambda d: geotiff(d / "a.tif", transform=Affine(0.001, 0, 5, 0, -0.001, 95)), "95"),
     "tiff one row": (lambda d: geotiff(d / "a.tif", HEIGHTS[:1]), "1 rows"),
@@ -283,6 +293,8 @@ REFUSED = {
     "dted letters": (lambda d: patched(dted(d / "a.dt0"), 47, b"12x1"), "UHL columns"),
     "dted hemisphere": (lambda d: patched(dted(d / "a.dt0"), 19, b"S"), "DSI latitude"),
     "dted interval": (lambda d: patched(dted(d / "a.dt0"), 20, b"0030"), "longitude interval"),
+    "dted datum": (lambda d: patched(dted(d / "a.dt0"), 224, b"NAD27"), "NAD27"),
+    "dted datum rubbish": (lambda d: patched(dted(d / "a.dt0"), 228, b"\xc1"), "horizontal datum"),
     "dted latitude": (lambda d: patched(dted(d / "a.dt0"), 12, b"095"), "90 degrees"),
     "dted cut": (lambda d: cut(dted(d / "a.dt0"), 0.5), "bytes"),
     "dted head only": (lambda d: written(d / "a.dt0", b"UHL1"), "DSI"),
@@ -367,7 +379,9 @@ def test_abutting_tiles_and_gaps():
     north_west, south_east = raster([[1, 2], [3, 4]], 10.0, 0.0), raster([[5, 6], [7, 8]], 9.0, 0.5)
     whole = mosaic([south_east, north_west])
     nan = np.nan
-    np.testing.assert_array_equal(whole.heights, [[1, 2, nan, nan], [3, 4, nan, nan], [nan, nan, 5, 6], [nan, nan, 7, 8]])
+    np.testing.assert_array_equal(
+        whole.heights, [[1, 2, nan, nan], [3, 4, nan, nan], [nan, nan, 5, 6], [nan, nan, 7, 8]]
+    )
     assert whole.extent == (8.5, 0.0, 10.0, 0.75)
 
 
@@ -407,7 +421,9 @@ def test_nothing_to_join_is_refused():
     "make",
     [
         lambda d: geotiff(d / "a.tif"),
-        lambda d: geotiff(d / "b.tif", np.tile(HEIGHTS, (4, 4)), tiled=True, blockxsize=16, blockysize=16, compress="lzw"),
+        lambda d: geotiff(
+            d / "b.tif", np.tile(HEIGHTS, (4, 4)), tiled=True, blockxsize=16, blockysize=16, compress="lzw"
+        ),
         lambda d: dted(d / "c.dt0", np.ones((21, 21), int), interval=(1800, 1800)),
         lambda d: npz(d / "d.npz"),
     ],

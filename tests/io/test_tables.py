@@ -2,8 +2,8 @@ import contextlib
 
 import numpy as np
 import pytest
-from data import recorded, refused
 
+from data import recorded, refused
 from motes.core.checks import FileError, MotesError
 from motes.io.tables import read_table, times
 
@@ -78,7 +78,7 @@ def test_types_of_parquet(tmp_path):
         "real": arrow.array([1.5, np.nan, None], arrow.float32()),
         "decimal": arrow.array([1, 2, 3], arrow.decimal128(5, 2)),
         "utc": arrow.array(micro, arrow.timestamp("us", tz="UTC")),
-        "local": arrow.array([10**18, 0, -1], arrow.timestamp("ns")),
+        "local": arrow.array([10**18, 0, -500_000_000], arrow.timestamp("ns")),
         "day": arrow.array([1, 2, None], arrow.date32()),
         "text": arrow.array(["1", "", "2.5"]),
         "iso": arrow.array(["1970-01-02", None, "1970-01-01T00:00:01Z"]).dictionary_encode(),
@@ -90,7 +90,7 @@ def test_types_of_parquet(tmp_path):
         "real": [1.5, np.nan, np.nan],
         "decimal": [1, 2, 3],
         "utc": [1_700_000_000.000001, np.nan, 1_700_000_000.010001],
-        "local": [1e9, 0, -1e-9],
+        "local": [1e9, 0, -0.5],
         "day": [86400, 172800, np.nan],
         "text": [1, np.nan, 2.5],
         "iso": [86400, np.nan, 1],
@@ -238,7 +238,9 @@ def test_mutated_tables_are_read_or_refused(form, tmp_path):
     if form == "csv":
         path = file(tmp_path, "t,a,b\n" + "".join(f'2020-01-01T00:00:{i:02},{i / 7},"{-i}"\n' for i in range(30)))
     else:
-        path = packed(tmp_path, {"t": arrow.array(range(30), arrow.timestamp("ms")), "a": np.arange(30) / 7, "b": ["3"] * 30})
+        path = packed(
+            tmp_path, {"t": arrow.array(range(30), arrow.timestamp("ms")), "a": np.arange(30) / 7, "b": ["3"] * 30}
+        )
     good = path.read_bytes()
     draw = np.random.default_rng(30)
     read_table(path)

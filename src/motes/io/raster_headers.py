@@ -80,6 +80,10 @@ def check_dted(name: str, start: bytes, size: int, largest: int) -> None:
         # some producers leave the second header blank; only a contradiction is an error
         if other.strip() and _number(name, f"DSI {field}", other) != value:
             reject(name, f"DSI {field} {value} as in the UHL record", other.decode(), "The file is damaged.")
+    # GDAL takes any other datum as WGS 84, which may be hundreds of meters off
+    datum = dsi[144:149].strip(b" \0")
+    if datum not in (b"WGS84", b"WGS72", b""):
+        reject(name, "WGS84 as DSI horizontal datum", repr(datum), "Convert the file to WGS 84.")
     angles = (("latitude", latitude, dsi[185:194], 90.0), ("longitude", longitude, dsi[194:204], 180.0))
     for field, value, other, limit in angles:
         if other.strip() and abs(_angle(name, f"DSI {field}", other, limit) - value) > 1e-4:
