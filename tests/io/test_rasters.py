@@ -2,80 +2,17 @@ import contextlib
 import os
 import socket
 import struct
-import warnings
 import zipfile
 
 import numpy as np
 import pytest
+from raster_files import HEIGHTS, Affine, cut, dted, geotiff, hgt, lying, npz, patched, rasterio, sparse, written
 
 from data import recorded, refused
 from motes.core.checks import FileError
-from motes.io.rasters import Raster, jacksboro, meters_per_degree, mosaic, read_raster
+from motes.io.rasters import jacksboro, meters_per_degree, read_raster
 
-rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
-Affine = rasterio.transform.Affine
-NORTH_UP = Affine(0.001, 0, 5, 0, -0.001, 45)
-HEIGHTS = np.add.outer(np.arange(12) * 10, np.arange(9)).astype(np.int16)
-
-
-def geotiff(path, heights=HEIGHTS, crs="EPSG:4326", transform=NORTH_UP, unit=None, **options):
-    bands = heights if heights.ndim == 3 else heights[None]
-    shape = {"width": bands.shape[2], "height": bands.shape[1], "count": bands.shape[0], "dtype": bands.dtype.name}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with rasterio.open(path, "w", driver="GTiff", crs=crs, transform=transform, **shape, **options) as file:
-            file.write(bands)
-            if unit:
-                file.units = (unit,) * len(bands)
-    return path
-
-
-def dted(path, heights=None, latitude=44, longitude=5, interval=(300, 300), before=b""):
-    """Write a DTED file byte by byte; heights have row 0 in the south, like the profiles of the format."""
-    heights = np.add.outer(np.arange(121), np.arange(121)) if heights is None else heights
-    rows, columns = heights.shape
-    sides = b"N" if latitude >= 0 else b"S", b"E" if longitude >= 0 else b"W"
-    y, x = abs(latitude), abs(longitude)
-    uhl = b"UHL1%03d0000%s%03d0000%s%04d%04d" % (x, sides[1], y, sides[0], interval[1], interval[0])
-    uhl = (uhl + b"0010U  " + b" " * 12 + b"%04d%04d0" % (columns, rows)).ljust(80)
-    dsi = bytearray(b" " * 648)
-    dsi[0:4], dsi[59:64] = b"DSIU", b"DTED1"
-    dsi[141:144], dsi[144:149] = b"MSL", b"WGS84"
-    dsi[185:204] = b"%02d0000.0%s%03d0000.0%s" % (y, sides[0], x, sides[1])
-    dsi[273:289] = b"%04d%04d%04d%04d" % (*interval, rows, columns)
-    records = []
-    for column in range(columns):
-        words = [abs(int(v)) | (0x8000 if v < 0 else 0) for v in heights[:, column]]
-        body = struct.pack(f">BBHHH{rows}H", 0xAA, 0, column, column, 0, *words)
-        records.append(body + struct.pack(">I", sum(body)))
-    path.write_bytes(before + uhl + bytes(dsi) + b"ACC".ljust(2700) + b"".join(records))
-    return path
-
-
-def hgt(folder, name="N44E005.hgt", value=100, cells=1201 * 1201):
-    heights = np.full(cells, value, ">i2")
-    heights[:2] = 250, -32768
-    (folder / name).write_bytes(heights.tobytes())
-    return folder / name
-
-
-def npz(path, **changes):
-    values = {"elevation": HEIGHTS, "xmin": 5.0, "xmax": 5.009, "ymin": 45.0, "ymax": 44.988, "dx": 0.001, "dy": 0.001}
-    np.savez(path, **{**values, **changes})
-    return path
-
-
-def raster(heights, north, west, **changes):
-    fields = {"dy": 0.5, "dx": 0.25, "crs": "geographic", "epsg": 4326, "source": "tile"}
-    return Raster(np.asarray(heights, np.float32), north, west, **{**fields, **changes})
-
-
-def patched(path, at, new):
-    data = bytearray(path.read_bytes())
-    data[at : at + len(new)] = new
-    path.write_bytes(data)
-    return path
 
 
 # good files ----------------------------------------------------------------------------------------------------------
@@ -221,31 +158,6 @@ def test_degrees_have_their_geodetic_lengths():
 VRT = b'<VRTDataset rasterXSize="2" rasterYSize="2"><VRTRasterBand dataType="Int16"/></VRTDataset>'
 
 
-def sparse(path):
-    return geotiff(path, SPARSE_OK=True, tiled=True, blockxsize=16, blockysize=16, heights=np.zeros((40, 40), np.int16))
-
-
-def lying(path):
-    """A GeoTIFF of a few hundred bytes whose header asks for 60000 by 60000 heights."""
-    geotiff(path)
-    data = path.read_bytes()
-    for tag, value in ((256, 60000), (257, 60000)):
-        at = data.index(struct.pack("<HHI", tag, 3, 1))
-        data = data[: at + 8] + struct.pack("<H", value) + data[at + 10 :]
-    path.write_bytes(data)
-    return path
-
-
-def cut(path, share):
-    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
-    return path
-
-
-def written(path, data):
-    path.write_bytes(data)
-    return path
-
-
 def with_height(value, kind=np.float32):
     heights = HEIGHTS.astype(kind)
     heights[7, 2] = value
@@ -352,66 +264,6 @@ def test_long_and_strange_names_stay_on_one_line(tmp_path):
     with pytest.raises(FileError) as error:
         read_raster(path)
     refused(error, ".tif", "first bytes")
-
-
-# mosaics -------------------------------------------------------------------------------------------------------------
-
-
-def test_recorded_neighbors_join_without_a_seam():
-    west, east = (read_raster(recorded(f"terrain/dted/{side}/n36.dt1")) for side in ("w122", "w121"))
-    for pair in ((west, east), (east, west)):
-        whole = mosaic(pair)
-        assert whole.heights.shape == (1201, 2401) and whole.extent == pytest.approx((36, -122, 37, -120))
-        np.testing.assert_array_equal(whole.heights[:, :1200], west.heights[:, :1200])
-        np.testing.assert_array_equal(whole.heights[:, 1201:], east.heights[:, 1:])
-        shared = whole.heights[:, 1200]
-        np.testing.assert_array_equal(np.isnan(shared), np.isnan(west.heights[:, -1]) & np.isnan(east.heights[:, 0]))
-
-
-def test_measured_values_win_over_voids_on_shared_posts():
-    west = raster([[1, np.nan], [3, 4]], 10.0, 0.0)
-    east = raster([[20, 5], [40, 6]], 10.0, 0.25, source="east")
-    np.testing.assert_array_equal(mosaic([west, east]).heights, [[1, 20, 5], [3, 4, 6]])
-    np.testing.assert_array_equal(mosaic([east, west]).heights, [[1, 20, 5], [3, 40, 6]])
-
-
-def test_abutting_tiles_and_gaps():
-    north_west, south_east = raster([[1, 2], [3, 4]], 10.0, 0.0), raster([[5, 6], [7, 8]], 9.0, 0.5)
-    whole = mosaic([south_east, north_west])
-    nan = np.nan
-    np.testing.assert_array_equal(
-        whole.heights, [[1, 2, nan, nan], [3, 4, nan, nan], [nan, nan, 5, 6], [nan, nan, 7, 8]]
-    )
-    assert whole.extent == (8.5, 0.0, 10.0, 0.75)
-
-
-@pytest.mark.parametrize(
-    ("other", "word"),
-    [
-        ({"dx": 0.5}, "spacing"),
-        ({"dy": 0.51}, "spacing"),
-        ({"west": 0.6}, "lattice"),
-        ({"north": 10.2}, "lattice"),
-        ({"crs": "projected", "epsg": 32611}, "EPSG 32611"),
-        ({"epsg": 4269}, "4269"),
-        ({"west": 1e9}, "at most"),
-    ],
-)
-def test_tiles_that_do_not_fit_are_refused(other, word):
-    first = raster(np.ones((2, 2)), 10.0, 0.0)
-    with pytest.raises(FileError) as error:
-        mosaic([first, raster(np.ones((2, 2)), **{"north": 10.0, "west": 0.5, "source": "n36.dt1", **other})])
-    refused(error, word, "n36.dt1")
-
-
-def test_nothing_to_join_is_refused():
-    with pytest.raises(FileError) as error:
-        mosaic([])
-    refused(error, "rasters")
-    unnamed = raster(np.ones((2, 2)), 0.0, 0.0, crs="projected", epsg=None)
-    with pytest.raises(FileError) as error:
-        mosaic([unnamed, raster(np.ones((2, 2)), 0.0, 0.5, crs="projected", epsg=None, source="b.tif")])
-    refused(error, "b.tif", "EPSG")
 
 
 # mutations -----------------------------------------------------------------------------------------------------------

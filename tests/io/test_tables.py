@@ -192,12 +192,17 @@ def test_parquet_names_must_differ(tmp_path):
     refused(error, "'a' more than once")
 
 
-def test_few_bytes_cannot_ask_for_many_numbers(tmp_path):
-    path = packed(tmp_path, {"a": np.zeros(25_000_000, np.int8)})
-    assert path.stat().st_size < 100_000
+@pytest.mark.parametrize(
+    ("columns", "word"),
+    [({"a": np.zeros(30_000, np.int8)}, "30000 rows"), ({"a": [1], "note": ["x" * 500_000]}, "bytes unpacked")],
+)
+def test_few_bytes_cannot_ask_for_much_memory(tmp_path, monkeypatch, columns, word):
+    monkeypatch.setattr("motes.io.tables.LARGEST", 20_000)
+    path = packed(tmp_path, columns, compression="zstd")
+    assert path.stat().st_size < 3000
     with pytest.raises(FileError) as error:
-        read_table(path)
-    refused(error, "25000000 rows")
+        read_table(path, ["a"])
+    refused(error, word)
 
 
 # times ---------------------------------------------------------------------------------------------------------------
@@ -223,11 +228,11 @@ def test_times_that_run_backward_or_are_missing(bad):
     refused(error, "times", "line 4")
 
 
-@pytest.mark.parametrize("bad", [[], 3.0, [[1, 2]]])
-def test_times_are_a_row(bad):
+@pytest.mark.parametrize(("bad", "word"), [([], "shape"), (3.0, "shape"), ([[1, 2]], "shape"), (["noon"], "numbers")])
+def test_times_are_a_row_of_numbers(bad, word):
     with pytest.raises(MotesError) as error:
         times(bad)
-    refused(error, "times", "shape")
+    refused(error, "times", word)
 
 
 # mutations -----------------------------------------------------------------------------------------------------------

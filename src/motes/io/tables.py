@@ -5,6 +5,7 @@ import io
 import math
 import os
 import re
+from array import array
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -63,7 +64,10 @@ def times(values: Any, *, repeats: bool = True) -> tuple[float, np.ndarray]:
     Raises:
         MotesError: times are missing, infinite, decrease, or repeat where that is not allowed; the row is named.
     """
-    seconds = np.asarray(values, dtype=np.float64)
+    try:
+        seconds = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        refuse("times", "numbers of seconds", type(values).__name__)
     if seconds.ndim != 1 or not seconds.size:
         refuse("times", "a row of at least one time", f"shape {seconds.shape}")
     order = "times that never decrease" if repeats else "times that increase"
@@ -92,7 +96,7 @@ def _read_csv(path: str | os.PathLike[str], wanted: list[str] | None) -> dict[st
         lines = _collect(path, rows, len(names), [names.index(name) for name in chosen], cells)
     if not lines:
         reject(path, "at least one line of data", "column names only")
-    return {name: _numbers(path, name, column, lines) for name, column in zip(chosen, cells, strict=True)}
+    return {name: _numbers(path, name, column, lines, "line") for name, column in zip(chosen, cells, strict=True)}
 
 
 def _text(path: str | os.PathLike[str]) -> str:
@@ -113,9 +117,9 @@ def _text(path: str | os.PathLike[str]) -> str:
     return text
 
 
-def _collect(path: Any, rows: Any, width: int, places: list[int], cells: list[list[str]]) -> list[str]:
-    """Append the chosen cells of each row to their columns; return where each row starts, in words."""
-    lines: list[str] = []
+def _collect(path: Any, rows: Any, width: int, places: list[int], cells: list[list[str]]) -> "array[int]":
+    """Append the chosen cells of each row to their columns; return the line on which each row starts."""
+    lines = array("q")
     blank, line = 0, rows.line_num + 1
     for row in rows:
         if not row:
@@ -126,7 +130,7 @@ def _collect(path: Any, rows: Any, width: int, places: list[int], cells: list[li
         else:
             for column, place in zip(cells, places, strict=True):
                 column.append(row[place])
-            lines.append(f"line {line}")
+            lines.append(line)
         line = rows.line_num + 1
     return lines
 
@@ -163,27 +167,32 @@ def _time(cell: str) -> float:
     return ((moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - EPOCH).total_seconds()
 
 
-def _numbers(path: Any, name: str, cells: Sequence[str], places: Sequence[str]) -> np.ndarray:
-    """Turn the cells of one column into numbers; the first cell that is not empty decides whether they are times."""
+def _numbers(path: Any, name: str, cells: Sequence[str], lines: Sequence[int], word: str) -> np.ndarray:
+    """Turn the cells of one column into numbers; the first cell that is not empty decides whether they are times.
+
+    Args:
+        path: the file, for messages.
+        name: the column, for messages.
+        cells: the text of each row.
+        lines: where each row stands in the file.
+        word: what `lines` count, "line" or "row".
+    """
     values = np.full(len(cells), np.nan)
-    full = [(index, cell) for index, cell in enumerate(map(str.strip, cells)) if cell.lower() not in MISSING]
-    if not full:
-        return values
-    first, cell = full[0]
-    if _converts(_number, cell):
-        convert, kind = _number, "a number"
-    elif _converts(_time, cell):
-        convert, kind = _time, "an ISO 8601 time"
-    else:
-        hint = "Name the columns of numbers with columns=."
-        reject(path, f"a number or an ISO 8601 time in {places[first]}, column {name!r}", repr(cell[:60]), hint)
-    for index, cell in full:
+    convert, kind = None, ""
+    for index, cell in enumerate(map(str.strip, cells)):
+        if cell.lower() in MISSING:
+            continue
+        if convert is None:
+            convert, kind = (_number, "a number") if _converts(_number, cell) else (_time, "an ISO 8601 time")
+            if not _converts(convert, cell):
+                expected = f"a number or an ISO 8601 time in {word} {lines[index]}, column {name!r}"
+                reject(path, expected, repr(cell[:60]), "Name the columns of numbers with columns=.")
         try:
             values[index] = convert(cell)
         except (ValueError, OverflowError):
-            reject(path, f"{kind} in {places[index]}, column {name!r}", repr(cell[:60]))
+            reject(path, f"{kind} in {word} {lines[index]}, column {name!r}", repr(cell[:60]))
         if math.isinf(values[index]):
-            reject(path, f"a finite number in {places[index]}, column {name!r}", repr(cell[:60]))
+            reject(path, f"a finite number in {word} {lines[index]}, column {name!r}", repr(cell[:60]))
     return values
 
 
@@ -199,6 +208,9 @@ def _read_parquet(path: str | os.PathLike[str], size: int, wanted: list[str] | N
         # packed columns may be small, but a header alone must not make us allocate without bound
         if rows * len(chosen) > max(LARGEST, 8 * size):
             reject(path, f"at most {LARGEST} numbers in {size} bytes", f"{rows} rows of {len(chosen)} columns")
+        unpacked = sum(source.metadata.row_group(group).total_byte_size for group in range(source.num_row_groups))
+        if unpacked > max(16 * LARGEST, 16 * size):
+            reject(path, f"at most {16 * LARGEST} bytes unpacked from {size}", f"{unpacked} bytes")
         if rows < 1:
             reject(path, "at least one row", "column names only")
         table = source.read(columns=chosen, use_threads=False)
@@ -211,7 +223,7 @@ def _arrow_numbers(path: Any, name: str, column: Any) -> np.ndarray:
     kind = column.type.value_type if arrow.types.is_dictionary(column.type) else column.type
     if arrow.types.is_string(kind) or arrow.types.is_large_string(kind):
         cells = ["" if cell is None else cell for cell in column.to_pylist()]
-        return _numbers(path, name, cells, [f"row {row}" for row in range(1, len(cells) + 1)])
+        return _numbers(path, name, cells, range(1, len(cells) + 1), "row")
     if arrow.types.is_date(kind):
         column, kind = column.cast(arrow.timestamp("ms")), arrow.timestamp("ms")
     missing = np.asarray(column.is_null().to_numpy(zero_copy_only=False), bool)
