@@ -125,6 +125,20 @@ def test_no_file_is_written_and_no_connection_opened(tmp_path, monkeypatch, capf
     assert capfd.readouterr() == ("", "")
 
 
+def test_files_beside_the_map_change_nothing(tmp_path):
+    path = geotiff(tmp_path / "a.tif")
+    geotiff(tmp_path / "mask.tif", np.zeros((12, 9), np.uint8)).rename(tmp_path / "a.tif.msk")
+    (tmp_path / "a.tif.aux.xml").write_text(
+        "<PAMDataset><PAMRasterBand band='1'><NoDataValue>20</NoDataValue></PAMRasterBand></PAMDataset>"
+    )
+    np.testing.assert_array_equal(read_raster(path).heights, HEIGHTS)
+    placeless = geotiff(tmp_path / "b.tif", transform=Affine.identity())
+    (tmp_path / "b.tfw").write_text("0.001\n0\n0\n-0.001\n5\n45\n")
+    with pytest.raises(FileError) as error:
+        read_raster(placeless)
+    refused(error, "georeference")
+
+
 def test_jacksboro_has_row_0_in_the_north():
     tile = jacksboro()
     assert tile.heights.shape == (344, 403) and (tile.heights.min(), tile.heights.max()) == (236, 1076)
@@ -183,6 +197,7 @@ REFUSED = {
     "tiff rotated": (lambda d: geotiff(d / "a.tif", transform=Affine(0.001, 0.0002, 5, 0, -0.001, 45)), "rows"),
     "tiff mirrored": (lambda d: geotiff(d / "a.tif", transform=Affine(-0.001, 0, 5, 0, -0.001, 45)), "rows"),
     "tiff bands": (lambda d: geotiff(d / "a.tif", np.stack([HEIGHTS] * 3)), "3 bands"),
+    "tiff pictures": (lambda d: geotiff(geotiff(d / "a.tif"), APPEND_SUBDATASET="YES"), "several pictures"),
     "tiff complex": (lambda d: geotiff(d / "a.tif", HEIGHTS.astype(np.complex64)), "complex64"),
     "tiff feet": (lambda d: geotiff(d / "a.tif", unit="ft"), "'ft'"),
     "tiff vertical feet": (lambda d: geotiff(d / "a.tif", crs="EPSG:4326+6360"), "US survey foot"),
@@ -201,7 +216,7 @@ REFUSED = {
     "dted flipped bit": (lambda d: patched(dted(d / "a.dt0"), 3428 + 254 * 5 + 101, b"\x7f"), "checksum"),
     "dted checksum": (lambda d: patched(dted(d / "a.dt0"), 3428 + 254 * 6 - 1, b"\xee"), "checksum"),
     "dted columns": (lambda d: patched(dted(d / "a.dt0"), 47, b"0242"), "columns"),
-    "dted columns halved": (lambda d: patched(dted(d / "a.dt0"), 47, b"0061"), "columns"),
+    "dted columns halved": (lambda d: patched(patched(dted(d / "a.dt0"), 47, b"0061"), 365, b"0061"), "bytes for 61"),
     "dted letters": (lambda d: patched(dted(d / "a.dt0"), 47, b"12x1"), "UHL columns"),
     "dted hemisphere": (lambda d: patched(dted(d / "a.dt0"), 19, b"S"), "DSI latitude"),
     "dted interval": (lambda d: patched(dted(d / "a.dt0"), 20, b"0030"), "longitude interval"),
