@@ -131,7 +131,7 @@ def _corners(heights: jax.Array, row: jax.Array, column: jax.Array) -> tuple[jax
     return tuple(flat.at[first + step].get(mode="promise_in_bounds") for step in (0, 1, columns, columns + 1))
 
 
-@jax.jit
+@partial(jax.jit, inline=True)
 def _look_up(heights: jax.Array, row: jax.Array, column: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return height and slopes per cell at positions given in cells."""
     i, a, row_inside = _cell(row, heights.shape[0])
