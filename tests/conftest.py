@@ -1,4 +1,4 @@
-"""Settings of the whole suite."""
+"""Settings of the whole suite; its place also puts this folder on the import path, so that tests share helpers such as data.py."""
 
 import os
 

@@ -1,0 +1,125 @@
+"""What kind of raster a file is by its first bytes, and whether its header is believable."""
+
+import re
+
+from motes.io.files import reject
+
+HEADER_BYTES = 4096
+UHL, DSI, ACC = 80, 648, 2700
+HGT_SIZES = {2 * columns * rows: (rows, columns) for columns, rows in ((1201, 1201), (1801, 3601), (3601, 3601))}
+TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+
+def kind_of(name: str, file_name: str, start: bytes) -> str:
+    """Return what a raster file is: "DTED", "GTiff", "npz" or "SRTMHGT" (which alone has no mark and goes by its name).
+
+    Args:
+        name: the file as messages show it.
+        file_name: its last part.
+        start: its first bytes.
+
+    Raises:
+        FileError: the bytes belong to none of them.
+    """
+    if start[:4] in TIFF_STARTS:
+        return "GTiff"
+    if start[:4] == b"PK\3\4":
+        return "npz"
+    if start[:3] in (b"UHL", b"VOL", b"HDR"):
+        return "DTED"
+    if file_name.lower().endswith(".hgt"):
+        return "SRTMHGT"
+    reject(name, "a DTED, GeoTIFF, HGT or npz raster by its first bytes", f"a file that starts with {start[:8]!r}")
+
+
+def check_size(name: str, rows: int, columns: int, largest: int) -> None:
+    """Refuse a raster with fewer than two rows or columns, or with more posts than allowed.
+
+    Raises:
+        FileError: the numbers are out of range.
+    """
+    if rows < 2 or columns < 2:
+        reject(name, "at least 2 rows and 2 columns", f"{rows} rows and {columns} columns")
+    if rows * columns > largest:
+        hint = "Cut the map, or pass a larger largest=."
+        reject(name, f"at most {largest} heights", f"{rows} rows times {columns} columns", hint)
+
+
+def check_dted(name: str, start: bytes, size: int, largest: int) -> None:
+    """Refuse a DTED file whose two headers contradict each other, the size of the file or the globe.
+
+    Args:
+        name: the file as messages show it.
+        start: its first `HEADER_BYTES` bytes.
+        size: its size in bytes.
+        largest: number of heights allowed.
+
+    Raises:
+        FileError: naming the field.
+    """
+    first = 0
+    while start[first : first + 3] in (b"VOL", b"HDR"):
+        first += UHL
+    uhl, dsi = start[first : first + UHL], start[first + UHL : first + UHL + DSI]
+    if uhl[:3] != b"UHL" or dsi[:3] != b"DSI" or len(dsi) < DSI:
+        reject(name, "a UHL and a DSI record", "a file without them")
+    columns, rows = _number(name, "UHL columns", uhl[47:51]), _number(name, "UHL rows", uhl[51:55])
+    check_size(name, rows, columns, largest)
+    wanted = first + UHL + DSI + ACC + columns * (12 + 2 * rows)
+    if size != wanted:
+        reject(name, f"{wanted} bytes for {columns} columns of {rows} posts", f"{size} bytes", "The file is damaged.")
+    longitude = _angle(name, "UHL longitude", uhl[4:12], 180.0)
+    latitude = _angle(name, "UHL latitude", uhl[12:20], 90.0)
+    pairs = (
+        ("columns", columns, dsi[285:289]),
+        ("rows", rows, dsi[281:285]),
+        ("longitude interval", _number(name, "UHL longitude interval", uhl[20:24]), dsi[277:281]),
+        ("latitude interval", _number(name, "UHL latitude interval", uhl[24:28]), dsi[273:277]),
+    )
+    for field, value, other in pairs:
+        # some producers leave the second header blank; only a contradiction is an error
+        if other.strip() and _number(name, f"DSI {field}", other) != value:
+            reject(name, f"DSI {field} {value} as in the UHL record", other.decode(), "The file is damaged.")
+    # GDAL takes any other datum as WGS 84, which may be hundreds of meters off
+    datum = dsi[144:149].strip(b" \0")
+    if datum not in (b"WGS84", b"WGS72", b""):
+        reject(name, "WGS84 as DSI horizontal datum", repr(datum), "Convert the file to WGS 84.")
+    angles = (("latitude", latitude, dsi[185:194], 90.0), ("longitude", longitude, dsi[194:204], 180.0))
+    for field, value, other, limit in angles:
+        if other.strip() and abs(_angle(name, f"DSI {field}", other, limit) - value) > 1e-4:
+            reject(name, f"DSI {field} {value} as in the UHL record", repr(other), "The file is damaged.")
+
+
+def check_hgt(name: str, file_name: str, size: int, largest: int) -> None:
+    """Refuse an HGT tile whose name is no corner on the globe or whose size is no known tile.
+
+    Raises:
+        FileError: naming what is wrong.
+    """
+    parts = re.fullmatch(r"([NS])(\d\d)([EW])(\d\d\d)\.hgt", file_name, re.IGNORECASE)
+    if not parts:
+        reject(name, "a name such as N44E005.hgt (the south-west corner)", repr(file_name))
+    latitude = int(parts[2]) * (1 if parts[1] in "Nn" else -1)
+    longitude = int(parts[4]) * (1 if parts[3] in "Ee" else -1)
+    if not -90 <= latitude <= 89:
+        reject(name, "a south edge between S90 and N89 in the name", f"{parts[1]}{parts[2]}")
+    if not -180 <= longitude <= 179:
+        reject(name, "a west edge between W180 and E179 in the name", f"{parts[3]}{parts[4]}")
+    if size not in HGT_SIZES:
+        sizes = ", ".join(f"{tile} ({columns} x {rows})" for tile, (rows, columns) in HGT_SIZES.items())
+        reject(name, f"a size in bytes of {sizes}", f"{size} bytes", "The file is damaged or not an HGT tile.")
+    check_size(name, *HGT_SIZES[size], largest)
+
+
+def _number(name: str, field: str, text: bytes) -> int:
+    if not re.fullmatch(rb" *\d+ *", text):
+        reject(name, f"a whole number as {field}", repr(text), "The file is damaged.")
+    return int(text)
+
+
+def _angle(name: str, field: str, text: bytes, limit: float) -> float:
+    parts = re.fullmatch(rb"(\d{2,3})(\d\d)(\d\d(?:\.\d)?)([NSEW])", text)
+    degrees = int(parts[1]) + int(parts[2]) / 60 + float(parts[3]) / 3600 if parts else limit + 1
+    if not parts or (parts[4] in b"NS") != (limit == 90.0) or degrees > limit:
+        reject(name, f"an angle of at most {limit:.0f} degrees as {field}", repr(text), "The file is damaged.")
+    return -degrees if parts[4] in b"SW" else degrees
