@@ -82,28 +82,28 @@ def grid_answer(parts, ys, size=161, reach=6.5):
     """Posterior means, variances and the likelihood by summing over a grid of both states."""
     axis = np.linspace(-reach, reach, size)
     area = (axis[1] - axis[0]) ** 2
-    n, l = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
+    n, k = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
     p = {name: np.broadcast_to(value, n.shape) for name, value in parts(n).items()}
 
     def normal2(dn, dl, a, b, c):
         det = a * c - b * b
         return np.exp(-0.5 * (c * dn * dn - 2 * b * dn * dl + a * dl * dl) / det) / (2 * np.pi * np.sqrt(det))
 
-    density = normal2(n - 0.4, l + 0.3, 0.8, 0.3, 0.9)
-    centre_n, centre_l = p["fn"] + p["An"] * l, p["fl"] + p["Al"] * l
+    density = normal2(n - 0.4, k + 0.3, 0.8, 0.3, 0.9)
+    centre_n, centre_l = p["fn"] + p["An"] * k, p["fl"] + p["Al"] * k
     total, means, variances = 0.0, [], []
     for t, y in enumerate(ys[:, 0]):
         if t:
             density = _moved(density * area, axis, centre_n, centre_l, p, normal2)
         if not np.isnan(y):
-            density = density * np.exp(-0.5 * (y - p["h"] - p["C"] * l) ** 2 / p["R"]) / np.sqrt(2 * np.pi * p["R"])
+            density = density * np.exp(-0.5 * (y - p["h"] - p["C"] * k) ** 2 / p["R"]) / np.sqrt(2 * np.pi * p["R"])
             mass = density.sum() * area
             total += np.log(mass)
             density = density / mass
         weight = density * area
-        mean = np.array([weight @ n, weight @ l])
+        mean = np.array([weight @ n, weight @ k])
         means.append(mean)
-        variances.append(np.array([weight @ n**2, weight @ l**2]) - mean**2)
+        variances.append(np.array([weight @ n**2, weight @ k**2]) - mean**2)
     return np.array(means), np.array(variances), total
 
 
