@@ -33,7 +33,7 @@ KINDS = ("elements", "whole", "fixed")
 UNROLL_LIMIT = 64  # steps; longer loops are summed up by a fixed point
 LARGE = 10_000_000  # marks of pairs; arrays that would need more are treated as a whole
 
-_CALLS = ("jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint")
+_CALLS = ("jit", "closed_call", "call", "remat", "remat2", "checkpoint")
 _CUSTOM_DERIVATIVES = ("custom_jvp_call", "custom_vjp_call")
 
 
@@ -126,7 +126,7 @@ def _is_large(shape: tuple[int, ...], count: int) -> bool:
 def _enter(program: Any, inputs: Sequence[Value], count: int) -> list[Value]:
     """Walk through a program, which may carry constants of its own, and return the values of its outputs."""
     jaxpr = getattr(program, "jaxpr", program)
-    constants = [_captured(array, count) for array in getattr(program, "consts", ())]
+    constants = list(map(lambda v, a: _captured(v.aval, a, count), jaxpr.constvars, getattr(program, "consts", ())))
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *inputs], strict=True))
 
     def read(atom: Any) -> Value:
@@ -140,9 +140,10 @@ def _enter(program: Any, inputs: Sequence[Value], count: int) -> list[Value]:
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _captured(array: Any, count: int) -> Value:
-    """Return a constant of the program; it is not known now if an outer trace is in progress and holds it."""
-    return constant(np.shape(array), count, array if checks.is_concrete(array) else None)
+def _captured(aval: Any, array: Any, count: int) -> Value:
+    """Return a constant of the program; it is not known now if an outer trace holds it or if it can be written to."""
+    known = checks.is_concrete(array) and isinstance(aval, jax.core.ShapedArray)
+    return constant(aval.shape, count, array if known else None)
 
 
 def _step(equation: Any, operands: list[Value], count: int) -> list[Value]:
