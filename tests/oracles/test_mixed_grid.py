@@ -16,7 +16,7 @@ def cases():
 
     def plain(n):
         return dict(fn=0.7 * n + 0.5 * np.sin(n), An=0.6 * one(n), Qn=0.4 * one(n), fl=0.3 * n, Al=0.8 * one(n), Ql=0.3 * one(n),
-                    Qnl=0 * n, h=n**2 / 4, C=0 * n, R=0.5 * one(n))
+                    Qnl=0 * n, h=2 * np.sin(n / 2) + 0.1 * n**2, C=0 * n, R=0.5 * one(n))
 
     def all_dependent(n):
         return plain(n) | dict(An=0.5 + 0.3 * np.cos(n), Al=0.6 + 0.3 * np.sin(2 * n), Qn=0.3 + 0.1 * np.sin(n) ** 2,
@@ -130,7 +130,7 @@ def answers():
         found = {}
         for name, parts in cases().items():
             model = library_model(parts)
-            ys = np.array(mo.simulate(21, model, STEPS)[1])
+            ys = np.array(mo.simulate(22, model, STEPS)[1])
             ys[3] = np.nan
             found[name] = (model, ys, grid_answer(parts, ys))
         return found
