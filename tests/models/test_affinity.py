@@ -23,6 +23,15 @@ def hidden(value):
 hidden.defjvp(lambda primals, tangents: (primals[0], 0 * tangents[0]))
 
 
+@jax.custom_vjp
+def backwards(value):
+    """The identity, with a derivative of its own in reverse only."""
+    return value
+
+
+backwards.defvjp(lambda value: (value, None), lambda residual, slope: (slope,))
+
+
 def terrain(position):
     """The height below a position, from the cell that it lies in."""
     row, column = jnp.floor(position).astype(int)
@@ -88,6 +97,7 @@ EXPECTED = {
     "checkpoint": (jax.checkpoint(lambda x: x[0] * jnp.sin(x[1])), "01", "01 11"),
     "custom_jvp": (lambda x: hidden(x[0]) + x[1], "01", "00"),
     "custom_jvp of a constant": (lambda x: hidden(jnp.array([0.0, 1.0])) * x[:2], "1", ""),
+    "custom_vjp": (lambda x: backwards(x[0]) + x[1], "01", "00"),
     "relu": (lambda x: jax.nn.relu(x[0]), "0", "00"),
     "stop_gradient": (lambda x: lax.stop_gradient(x[0]) + x[1], "01", "00"),
     "optimization_barrier": (lambda x: lax.optimization_barrier(x[0]) + x[1], "01", "00"),
@@ -249,6 +259,13 @@ def test_kinds_of_arguments():
         dependence(function, args, kinds[:-1])
     with pytest.raises(MotesError, match="kinds"):
         dependence(function, args, ("some", *kinds[1:]))
+
+
+def test_elements_of_pytrees_are_numbered_in_order():
+    args = ((), {"a": jax.ShapeDtypeStruct((2,), "float32"), "b": X[:0], "c": X[:1]}, X)
+    assert variables(args, ("elements",) * 3) == [range(0), range(3), range(3, 6)]
+    found = dependence(lambda empty, u, x: u["a"][1] * u["c"] + x[2], args, ("elements",) * 3)
+    assert marks(found) == ("125", "12")
 
 
 def test_integers_are_never_affine():

@@ -251,7 +251,7 @@ def _scatter(equation: Any, values: Sequence[Value]) -> Value:
 def _reduce_sum(equation: Any, values: Sequence[Value]) -> Value:
     (value,) = values
     axes = tuple(equation.params["axes"])
-    return make(value.live.any(axes), value.uses.any(axes), value.pairs.any(axes))
+    return make(*(np.asarray(field.any(axes)) for field in value[:3]))
 
 
 def _reduce(equation: Any, values: Sequence[Value]) -> Value:
