@@ -1,5 +1,6 @@
 """Small-matrix algebra against NumPy, one matrix or one per particle."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,8 +38,8 @@ def test_cholesky_and_solves(size, batched, double):
     root = batch(size, size + 2) if batched else RNG.normal(size=(size, size + 2))
     A = np.asarray(linalg.product(jnp.asarray(root), linalg.transpose(jnp.asarray(root))))
     b = batch(size, 2) if batched else RNG.normal(size=(size, 2))
-    factor = linalg.cholesky(jnp.asarray(A))
-    x = np.asarray(linalg.solve(factor, jnp.asarray(b)))
+    factor = jax.jit(linalg.cholesky)(jnp.asarray(A))
+    x = np.asarray(jax.jit(linalg.solve)(factor, jnp.asarray(b)))
     log_det = np.asarray(linalg.log_determinant(factor))
     if batched:
         assert np.allclose(factor, each(np.linalg.cholesky, (A, True)))
@@ -54,7 +55,7 @@ def test_cholesky_and_solves(size, batched, double):
 def test_semi_definite_matrices_keep_exact_zeros(dtype, double):
     """N4: rank 0, rank 1, a state without variance, condition 1e12."""
     for A in (np.zeros((3, 3)), np.outer([1, 2, -1], [1, 2, -1]), np.diag([4.0, 0, 9]), np.diag([1.0, 1e-12, 1e6])):
-        factor = np.asarray(linalg.cholesky(jnp.asarray(A, dtype)), np.float64)
+        factor = np.asarray(jax.jit(linalg.cholesky)(jnp.asarray(A, dtype)), np.float64)
         assert np.isfinite(factor).all()
         assert np.allclose(factor @ factor.T, A, rtol=1e-5, atol=1e-30)
         empty = np.diag(A) == 0

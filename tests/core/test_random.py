@@ -12,9 +12,9 @@ from motes.core import random
 
 def test_threefry_known_answer():
     """Known-answer vectors of Threefry-2x32-20 (Random123)."""
-    zero = np.uint32(0)
+    zero = jnp.uint32(0)
     assert [int(w) for w in random._threefry(zero, zero, zero, zero)] == [0x6B200159, 0x99BA4EFE]
-    ones = np.uint32(0xFFFFFFFF)
+    ones = jnp.uint32(0xFFFFFFFF)
     assert [int(w) for w in random._threefry(ones, ones, ones, ones)] == [0x1CB996FC, 0xBB002BE7]
 
 

@@ -11,6 +11,7 @@ from scipy.stats import norm
 import motes as mo
 
 SCHEMES = [mo.Systematic(), mo.Stratified(), mo.Residual(), mo.Multinomial()]
+SYSTEMATIC = jax.jit(mo.Systematic().at, static_argnums=2)
 LAST_UNIFORM = np.float32(1 - 2**-24)
 SIZE = 400
 
@@ -43,6 +44,13 @@ KINDS = ["equal", "one heavy in front", "one heavy at the end", "one heavy insid
          "wide range", "exponential"]  # fmt: skip
 
 
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("u", [0.0, LAST_UNIFORM, 0.37])
+def test_systematic_counts_of_very_few(n, u):
+    log_weights = log(adversarial(n, "exponential"))
+    check_counts(np.asarray(mo.Systematic().at(jnp.float32(u), log_weights, n)), np.exp(np.asarray(log_weights, np.float64)))
+
+
 def check_counts(ancestors, weights, tolerance=1e-3):
     n = len(ancestors)
     assert ancestors.dtype == np.int32
@@ -57,36 +65,32 @@ def check_counts(ancestors, weights, tolerance=1e-3):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("u", [0.0, LAST_UNIFORM, 0.37])
-@pytest.mark.parametrize("n", [1, 2, 3, 1023, 1024, 1025, 100_000])
+@pytest.mark.parametrize("n", [4, 1023, 1025, 100_000])
 def test_systematic_counts_are_within_one(kind, u, n):
-    if n < 4 and kind not in ("equal", "denormal", "exponential", "wide range"):
-        pytest.skip("the pattern of weights needs more particles")
     log_weights = log(adversarial(n, kind))
     weights = np.exp(np.asarray(log_weights, np.float64))
-    check_counts(np.asarray(jax.jit(mo.Systematic().at, static_argnums=2)(jnp.float32(u), log_weights, n)), weights)
+    check_counts(np.asarray(SYSTEMATIC(jnp.float32(u), log_weights, n)), weights)
 
 
-@pytest.mark.parametrize("kind", ["equal", "one heavy inside", "exponential"])
-@pytest.mark.parametrize("u", [0.0, LAST_UNIFORM])
+@pytest.mark.parametrize(("kind", "u"), [("one heavy inside", LAST_UNIFORM), ("exponential", 0.0)])
 def test_systematic_holds_for_ten_million_particles(kind, u):
     """N9: float32 cumulative sums are neither monotone nor right at this size."""
     n = 10_000_000
     log_weights = log(adversarial(n, kind))
     weights = np.exp(np.asarray(log_weights, np.float64))
-    check_counts(np.asarray(jax.jit(mo.Systematic().at, static_argnums=2)(jnp.float32(u), log_weights, n)), weights, tolerance=0.02)
+    check_counts(np.asarray(SYSTEMATIC(jnp.float32(u), log_weights, n)), weights, tolerance=0.02)
 
 
 @given(
     weights=st.lists(st.floats(0, 1e6, allow_subnormal=False, width=32), min_size=1, max_size=60).filter(lambda w: sum(w) > 1e-3),
     u=st.floats(0, float(LAST_UNIFORM), width=32),
-    n=st.integers(1, 200),
+    n=st.sampled_from([1, 7, 200]),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_systematic_counts_are_within_one_for_any_weights(weights, u, n):
-    weights = np.asarray(weights, np.float64)
-    log_weights = log(weights)
-    with jax.disable_jit(False):
-        check_counts(np.asarray(mo.Systematic().at(jnp.float32(u), log_weights, n)), np.exp(np.asarray(log_weights, np.float64)))
+    log_weights = log(np.pad(np.asarray(weights, np.float64), (0, 60 - len(weights))))
+    ancestors = np.asarray(SYSTEMATIC(jnp.float32(u), log_weights, n))
+    check_counts(ancestors, np.exp(np.asarray(log_weights, np.float64)))
 
 
 @pytest.mark.parametrize("scheme", SCHEMES, ids=by_name)
