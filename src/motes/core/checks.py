@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 LONGEST = 500
 
@@ -54,7 +55,7 @@ def need(module: str, extra: str) -> ModuleType:
 
 def is_concrete(value: Any) -> bool:
     """Tell whether a value is known now (not a tracer inside jit, vmap or grad)."""
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
 
 
 def as_float(argument: str, value: Any) -> jax.Array:

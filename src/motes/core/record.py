@@ -11,11 +11,12 @@ from typing import Any, TypeVar, dataclass_transform
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
 T = TypeVar("T")
 
 
-def static(default: Any = dataclasses.MISSING, *, kw_only: bool = False) -> Any:
+def static(*, default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
     """Declare a field of a record as structure: hashable, fixed at compile time."""
     return dataclasses.field(default=default, metadata={"static": True}, kw_only=kw_only)
 
@@ -87,7 +88,7 @@ def values(self: Any) -> dict[str, Any]:
 
 
 def _map_leaves(value: Any, of_array: Callable[[np.ndarray], Any]) -> Any:
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return id(value)
     if isinstance(value, (jax.Array, np.ndarray)):
         return of_array(np.asarray(value))
@@ -122,7 +123,7 @@ def _describe(self: Any) -> str:
         return f"{array.dtype}[{','.join(map(str, array.shape))}]"
 
     def text(value: Any) -> str:
-        if isinstance(value, jax.core.Tracer):
+        if isinstance(value, Tracer):
             return str(value.aval)
         if isinstance(value, (jax.Array, np.ndarray)):
             return of_array(np.asarray(value))

@@ -54,7 +54,7 @@ class History:
     start: jax.Array
     names: tuple[str, ...] = static()
     label: str = static()
-    has_evidence: bool = static(True)
+    has_evidence: bool = static(default=True)
 
     def _kept(self, name: str) -> Any:
         if name not in self.kept:

@@ -86,7 +86,7 @@ class Filter(ABC):
             "predict": go on as if nothing had been measured. "inflate": the same, with the law's covariance times 4.
     """
 
-    on_collapse: str = static("raise", kw_only=True)
+    on_collapse: str = static(default="raise", kw_only=True)
     look_ahead: ClassVar[bool] = False
     has_evidence: ClassVar[bool] = True
     """Whether the filter moves only when it knows the next measurement."""

@@ -23,7 +23,7 @@ from motes.laws.conditional import wrap
 from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.models.mixed_linear import Affine, MixedLinearModel, initial_split
-from motes.models.structure import SplitModel, split
+from motes.models.split import SplitModel, split
 from motes.resampling.policy import ESS, Policy, resample
 from motes.resampling.schemes import Scheme, Systematic
 
@@ -40,7 +40,7 @@ class MarginalizedParticleFilter(TwoStageFilter):
     """
 
     n: int = static()
-    linear: tuple[str | int, ...] | None = static(None)
+    linear: tuple[str | int, ...] | None = static(default=None)
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
 

@@ -116,6 +116,7 @@ class Stream:
             if y is None:
                 checks.refuse("predict", "a measurement of step 0 first", "none", "Call update(y) with NaN if nothing was measured.")
             self._carry = _begin(self.key, self.filter, self.model, self._inputs, y)
+        assert self._carry is not None
         return self._carry
 
     @property
@@ -183,7 +184,7 @@ class Stream:
         stream = cls(jax.random.wrap_key_data(jnp.asarray(tree["key"], jnp.uint32)), filter, model)
         y = jnp.asarray(tree["carry"]["y"], model.dtype)
         u = tree["carry"].get("u") if inputs is None else inputs
-        like = jax.eval_shape(_begin.__wrapped__, stream.key, filter, model, u, y)
+        like = jax.eval_shape(lambda *parts: Engine(*parts[:3]).initial(*parts[3:]), stream.key, filter, model, u, y)
         stream._carry = archive.fill(Path(path), like, tree["carry"])
         stream._updated = bool(texts["updated"])
         return stream

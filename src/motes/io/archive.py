@@ -32,7 +32,7 @@ def provenance() -> dict[str, str]:
     return found | {
         "python_version": platform.python_version(),
         "device": f"{device.platform} {device.device_kind}",
-        "float": "float64" if jax.config.jax_enable_x64 else "float32",
+        "float": str(jnp.result_type(float)),
     }
 
 

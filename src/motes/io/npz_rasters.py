@@ -31,7 +31,7 @@ def read_npz(path: str | os.PathLike[str], largest: int) -> tuple[np.ndarray, fl
         heights = _member(name, archive, "elevation", largest)
         if heights.ndim != 2 or heights.dtype.kind not in "iuf":
             reject(name, "a matrix of real numbers as 'elevation'", f"{heights.dtype} of shape {heights.shape}")
-        check_size(name, *heights.shape, largest)
+        check_size(name, heights.shape[0], heights.shape[1], largest)
         numbers = {key: _number(name, archive, key) for key in ("xmin", "xmax", "ymin", "ymax", "dx", "dy")}
     (rows, columns), dy, dx = heights.shape, numbers["dy"], numbers["dx"]
     if not (dx > 0 and dy > 0):

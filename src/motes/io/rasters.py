@@ -47,9 +47,9 @@ class Raster:
     west: float
     dy: float
     dx: float
-    crs: str = static("geographic")
-    epsg: int | None = static(None)
-    source: str = static("raster")
+    crs: str = static(default="geographic")
+    epsg: int | None = static(default=None)
+    source: str = static(default="raster")
 
     @property
     def south(self) -> float:

@@ -120,7 +120,7 @@ class AdditiveGaussian(Conditional):
 
     f: UserFunction
     Q: MatrixLike
-    angles: tuple[int, ...] = static(())
+    angles: tuple[int, ...] = static(default=())
 
     def __init__(self, f: UserFunction, Q: MatrixLike, angles: tuple[int, ...] = ()):
         """Check what can be known without a model.
@@ -172,7 +172,7 @@ class LinearGaussian(AdditiveGaussian):
         angles: components of z that are angles in radians.
     """
 
-    A: MatrixLike
+    A: MatrixLike  # type: ignore[misc]
 
     def __init__(self, A: MatrixLike, Q: MatrixLike, angles: tuple[int, ...] = ()):
         """Check what can be known without a model.
@@ -211,7 +211,7 @@ class AdditiveNoise(Conditional):
 
     f: UserFunction
     law: Law
-    angles: tuple[int, ...] = static(())
+    angles: tuple[int, ...] = static(default=())
 
     def __init__(self, f: UserFunction, law: Any, angles: tuple[int, ...] = ()):
         """Check what can be known without a model.
@@ -312,14 +312,15 @@ class Custom(Conditional):
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Draw one value for each particle; one key per particle, since the user's sampler takes one."""
-        if self.sampler is None:
+        sampler, keys = self.sampler, random.split(key, X.shape[-1])
+        if sampler is None:
             checks.refuse("Custom", "a sample function (it is simulated here)", "None")
-        keys = random.split(key, X.shape[-1])
-        return jax.vmap(lambda k, x: jnp.asarray(self.sampler(k, x, u, t)).astype(x.dtype), (0, -1), -1)(keys, X)
+        return jax.vmap(lambda k, x: jnp.asarray(sampler(k, x, u, t)).astype(x.dtype), (0, -1), -1)(keys, X)
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density given each particle."""
-        if self.density is None:
+        density = self.density
+        if density is None:
             checks.refuse("Custom", "a log_prob function (its density is needed here)", "None")
         per_value = None if value.ndim == 1 else -1
-        return jax.vmap(lambda v, x: jnp.asarray(self.density(v, x, u, t)).astype(x.dtype), (per_value, -1))(value, X)
+        return jax.vmap(lambda v, x: jnp.asarray(density(v, x, u, t)).astype(x.dtype), (per_value, -1))(value, X)

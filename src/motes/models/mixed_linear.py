@@ -55,9 +55,9 @@ class MixedLinearModel:
     sensor: AffineFunction
     cross_cov: Callable[[jax.Array, Any, Any], jax.Array] | None = None
     initial_gain: jax.Array | None = None
-    angles: tuple[int, ...] = static(())
-    linear: tuple[int, ...] = static(())
-    names: tuple[str, ...] = static(())
+    angles: tuple[int, ...] = static(default=())
+    linear: tuple[int, ...] = static(default=())
+    names: tuple[str, ...] = static(default=())
 
     def __post_init__(self) -> None:
         """Fill in the order and the names.

@@ -33,7 +33,7 @@ class StateSpaceModel:
     initial: Law
     dynamics: Conditional
     sensor: Conditional
-    names: tuple[str, ...] = static(())
+    names: tuple[str, ...] = static(default=())
     noise_cross_cov: MatrixLike | None = None
 
     def __init__(
@@ -97,7 +97,8 @@ class StateSpaceModel:
             if isinstance(part, AdditiveGaussian):
                 _check_moments(name, part, x, inputs_of_step, t, expected)
             elif hasattr(part, "f"):
-                found = jax.eval_shape(lambda x, u, t, part=part: jnp.asarray(part.f(x, u, t)), x, inputs_of_step, t).shape
+                function = getattr(part, "f")  # noqa: B009
+                found = jax.eval_shape(lambda x, u, t, f=function: jnp.asarray(f(x, u, t)), x, inputs_of_step, t).shape
                 checks.shape(f"{name} f(x, u, t)", jnp.zeros(found), (expected,))
 
 
@@ -121,8 +122,8 @@ def _checked_cross_cov(value: MatrixLike, dynamics: Conditional, sensor: Conditi
     known = (value, dynamics.Q, sensor.Q)
     if not any(callable(v) for v in known) and checks.is_concrete(known):
         checks.shape("noise_cross_cov", value, (size, sensor.Q.shape[0]), "(states, measurements)")
-        checks.covariance("noise_cross_cov (with Q and R as one joint covariance)",
-                          jnp.block([[dynamics.Q, value], [value.T, sensor.Q]]), size + value.shape[1])
+        joint = jnp.block([[dynamics.Q, value], [value.T, sensor.Q]])  # type: ignore[list-item]
+        checks.covariance("noise_cross_cov (with Q and R as one joint covariance)", joint, size + value.shape[1])
     return value
 
 

@@ -31,8 +31,8 @@ class TerrainMap:
     heights: jax.Array
     dn: float
     de: float
-    origin: tuple[float, float] = static((0.0, 0.0))
-    scale: tuple[float, float] = static((1.0, 1.0))
+    origin: tuple[float, float] = static(default=(0.0, 0.0))
+    scale: tuple[float, float] = static(default=(1.0, 1.0))
 
     def __post_init__(self) -> None:
         """Check the grid and the spacing."""

@@ -1,0 +1,153 @@
+"""Splitting a model into particle and Kalman parts, ready for a cloud."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core import checks, linalg
+from motes.core.record import record, static
+from motes.core.types import Inputs
+from motes.laws.conditional import AdditiveGaussian, Conditional
+from motes.laws.gaussian import Gaussian
+from motes.models.mixed_linear import Affine, MixedLinearModel
+from motes.models.state_space import StateSpaceModel
+from motes.models.structure import Traced, clash, largest, mixed_uses, trace, varying
+
+
+@record
+class SplitModel:
+    """A mixed linear model made ready for a cloud: each matrix is evaluated once, or once per particle, as its dependence asks.
+
+    Attributes:
+        mixed: the model.
+        varies: which matrices depend on the particle: of "particle", "kalman", "sensor", "cross_cov", slope (1) or noise (2).
+        per_particle: whether the covariance of the Kalman part does.
+        likelihood: the sensor itself where it does not see the Kalman part, else None.
+    """
+
+    mixed: MixedLinearModel
+    likelihood: Conditional | None
+    varies: tuple[tuple[str, int], ...] = static()
+    per_particle: bool = static()
+
+    @property
+    def measures_linear(self) -> bool:
+        """Whether the sensor sees the Kalman part."""
+        return self.likelihood is None
+
+    def whole(self, X_p: jax.Array) -> jax.Array:
+        """Full states `(x, n)` with zeros for the Kalman part, for a sensor that does not see it."""
+        zeros = jnp.zeros((len(self.mixed.linear), X_p.shape[-1]), X_p.dtype)
+        return jnp.concatenate([X_p, zeros])[jnp.asarray(self.mixed.order)]
+
+    def over(self, part: str, X_p: jax.Array, u: Any, t: Any) -> Affine:
+        """Evaluate one of "particle", "kalman", "sensor" over the cloud: f `(z, n)`, A and Q with or without the particle axis."""
+        function = getattr(self.mixed, part)
+
+        def evaluate(x_p: jax.Array) -> Affine:
+            return Affine(*(jnp.asarray(value).astype(x_p.dtype) for value in function(x_p, u, t)))
+
+        one = evaluate(X_p[:, 0])
+        many = jax.vmap(evaluate, in_axes=-1, out_axes=-1)(X_p)
+        return Affine(many.f, *(many[i] if (part, i) in self.varies else one[i] for i in (1, 2)))
+
+    def cross_cov(self, X_p: jax.Array, u: Any, t: Any) -> jax.Array | None:
+        """Covariance `(p, k, *n)` of the two process noises, or None when they are independent."""
+        function = self.mixed.cross_cov
+        if function is None:
+            return None
+        if ("cross_cov", 2) not in self.varies:
+            return function(X_p[:, 0], u, t)
+        return jax.vmap(lambda x_p: function(x_p, u, t), in_axes=-1, out_axes=-1)(X_p)
+
+
+def split(model: Any, linear: tuple[str | int, ...] | None, inputs: Inputs) -> SplitModel:
+    """Split a model into particle and Kalman parts.
+
+    Args:
+        model: state-space model, mixed linear model, or a split one (returned as it is).
+        linear: states for the Kalman part by name or index; None for the largest possible set.
+        inputs: example of the inputs of one step.
+
+    Raises:
+        MotesError: the states are not conditionally linear-Gaussian; the message names the function and the states.
+    """
+    if isinstance(model, SplitModel):
+        return model
+    if isinstance(model, MixedLinearModel):
+        if linear is not None and set(linear) - set(model.linear) - {model.names[i] for i in model.linear}:
+            return split(model.joined(), linear, inputs)
+        varies = _mixed_varies(model, inputs)
+        return SplitModel(model, None, varies, bool(varies))
+    if not isinstance(model, StateSpaceModel):
+        checks.refuse("MarginalizedParticleFilter model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__)
+    traced = trace(model, inputs)
+    chosen = largest(traced, model.size) if linear is None else _asked_for(traced, model, linear)
+    moving = {name for name, uses in varying(traced, chosen, model.size).items() if uses[: model.size].any()}
+    varies = [(part, i) for part in ("particle", "kalman") for i, what in ((1, "slope"), (2, "noise")) if f"dynamics {what}" in moving]
+    varies += [("sensor", i) for i, what in ((1, "slope"), (2, "noise")) if f"sensor {what}" in moving]
+    varies += [("cross_cov", 2)] if "dynamics noise" in moving else []
+    sees = bool(traced.direct[list(chosen)].any())
+    return SplitModel(_mixed(model, chosen), None if sees else model.sensor, tuple(varies), bool(varies))
+
+
+def _asked_for(traced: Traced, model: StateSpaceModel, linear: tuple[str | int, ...]) -> tuple[int, ...]:
+    chosen = tuple(sorted({model.index(state) for state in linear}))
+    for i in chosen:
+        if i in traced.closed:
+            checks.refuse("linear", "states that are conditionally linear-Gaussian", f"{model.names[i]}: {traced.closed[i]}",
+                          "mo.structure(model) lists what is possible.")
+    pair = clash(traced, chosen, model.names)
+    if pair:
+        checks.refuse("linear", "states in which the model is jointly linear", pair, "Take one of them out.")
+    return chosen
+
+
+def _mixed(model: StateSpaceModel, linear: tuple[int, ...]) -> MixedLinearModel:
+    """Build the mixed linear model; slopes are Jacobians, exact because the functions are affine in the chosen states."""
+    own = np.array([i for i in range(model.size) if i not in linear], int)
+    other = np.array(linear, int)
+
+    def evaluate(part: AdditiveGaussian, x_p: jax.Array, u: Any, t: Any) -> Affine:
+        def mean(x_k: jax.Array) -> jax.Array:
+            x = jnp.zeros((model.size,), x_p.dtype).at[own].set(x_p).at[other].set(x_k)
+            return part.mean(x, u, t)
+
+        nothing = jnp.zeros((len(linear),), x_p.dtype)
+        x = jnp.zeros((model.size,), x_p.dtype).at[own].set(x_p)
+        return Affine(mean(nothing), jax.jacfwd(mean)(nothing), part.cov(x, u, t))
+
+    def rows(part: Any, keep: np.ndarray, x_p: jax.Array, u: Any, t: Any) -> Affine:
+        f, A, Q = evaluate(part, x_p, u, t)
+        return Affine(f[keep], A[keep], Q[keep][:, keep])
+
+    dynamics, sensor = model.dynamics, model.sensor
+    initial_p, initial_k, gain = _initial_parts(model, own, other)
+    return MixedLinearModel(
+        initial_p,
+        initial_k,
+        particle=lambda x_p, u, t: rows(dynamics, own, x_p, u, t),
+        kalman=lambda x_p, u, t: rows(dynamics, other, x_p, u, t),
+        sensor=lambda x_p, u, t: evaluate(sensor, x_p, u, t),  # type: ignore[arg-type]
+        cross_cov=(lambda x_p, u, t: evaluate(dynamics, x_p, u, t).Q[own][:, other]) if len(own) and len(other) else None,  # type: ignore[arg-type]
+        initial_gain=gain,
+        angles=sensor.angles,
+        linear=linear,
+        names=model.names,
+    )
+
+
+def _initial_parts(model: StateSpaceModel, own: np.ndarray, other: np.ndarray) -> tuple[Any, Gaussian, jax.Array | None]:
+    if not len(other):
+        return model.initial, Gaussian(jnp.zeros((0,), model.dtype), jnp.zeros((0, 0), model.dtype)), None
+    center, cov = model.initial.mean(), model.initial.cov()
+    P_p, P_kp = cov[own][:, own], cov[other][:, own]
+    gain = linalg.solve(linalg.cholesky(P_p), P_kp.T).T
+    rest = linalg.symmetric(cov[other][:, other] - gain @ P_kp.T)
+    return Gaussian(center[own], P_p), Gaussian(center[other], rest), gain
+
+
+def _mixed_varies(model: MixedLinearModel, inputs: Inputs) -> tuple[tuple[str, int], ...]:
+    return tuple(name for name, uses in mixed_uses(model, inputs).items() if uses[:-2].any())
