@@ -16,8 +16,8 @@ from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel
 
 RANGE_SD = 0.54
-START_SD = (0.5, 0.5, 0.1, 0.002, 0.1, 1.0)
-"""Standard deviations of the states at the start: m, m, rad, rad/s, a share, m."""
+START_SD = (0.5, 0.5, 0.1, 0.002, 0.1, 0.3)
+"""Standard deviations of the states at the start: m, m, rad, rad/s, a share, m (0.3 m is a nanosecond of delay in the radios)."""
 STANDING = 0.02
 """A step of the odometry shorter than this, in meters, has no course and counts as standing."""
 SMOOTHING = 11
