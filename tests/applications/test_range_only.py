@@ -10,6 +10,7 @@ import motes as mo
 from data import recorded, refused
 from motes.applications.range_only import scenario as job
 from motes.applications.range_only.model import DriveNoise, Step
+from motes.io.matlab import read_matrices
 from motes.io.recordings import RangeOnlyRecording, read_plaza
 from motes.plotting.robot import plot_robot
 
@@ -125,6 +126,33 @@ def test_reader_refuses_other_files(tmp_path):
         with pytest.raises(mo.FileError) as error:
             read_plaza(path)
         refused(error, word)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("kind", ["f8", "f4", "i1", "u2", "i4", "u8"])
+def test_matrices_are_those_of_another_reader(tmp_path, kind, compressed):
+    path = tmp_path / "numbers.mat"
+    written = {"one": np.array([[3]]), "A": np.arange(-6, 6).reshape(4, 3), "text": np.array(["abc"]), "cells": np.array([1, "a"], object)}
+    scipy.io.savemat(path, {n: v.astype(kind) if v.dtype == int else v for n, v in written.items()}, do_compression=compressed)
+    found, other = read_matrices(path, {"one": 1, "A": 3}), scipy.io.loadmat(path)
+    assert all(np.array_equal(found[name], other[name]) for name in found) and found["A"].dtype == np.float64
+
+
+def test_damaged_files_are_refused_or_read(tmp_path):
+    rng = np.random.default_rng(4)
+    for compressed in (False, True):
+        path = tmp_path / "damaged.mat"
+        scipy.io.savemat(path, made_up(40), do_compression=compressed)
+        good = np.frombuffer(path.read_bytes(), np.uint8)
+        for _ in range(150):
+            data = good.copy()
+            places = rng.integers(0, rng.choice([256, len(data)]), rng.integers(1, 20))
+            data[places] = rng.integers(0, 256, len(places))
+            path.write_bytes(data.tobytes())
+            try:
+                assert read_plaza(path).truth.shape == (41, 4)
+            except mo.FileError as error:
+                assert str(error).isprintable() and len(str(error)) <= 500
 
 
 def tiny():

@@ -4,19 +4,14 @@ Source of the form: Djugash, Hamner, Roth, "Navigating with ranging radios: five
 """
 
 import os
-import warnings
 
 import numpy as np
 
 from motes.core.record import record, static
-from motes.io.files import foreign, label, look, reject
+from motes.io.files import label, reject
+from motes.io.matlab import read_matrices
 
-HEADER = 128
-VERSIONS = (b"\x00\x01IM", b"\x01\x00MI")
-"""Version and byte order at the end of the header of a MATLAB 5 file."""
-NUMERIC = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
 COLUMNS = {"GT": 4, "DR": 3, "DRp": 4, "TD": 4, "TL": 3}
-LARGEST = 5_000_000
 
 
 @record
@@ -52,10 +47,7 @@ def read_plaza(path: str | os.PathLike[str]) -> RangeOnlyRecording:
         FileError: the file is damaged or no MATLAB 5 file, or a variable is missing, has another shape, holds something other than finite
             numbers, or does not fit the others; the message names the variable.
     """
-    _, start = look(path, HEADER)
-    if start[HEADER - 4 :] not in VERSIONS:
-        reject(path, "a MATLAB 5 file", f"one that starts with {start[:8]!r}")
-    found = _variables(path)
+    found = read_matrices(path, COLUMNS)
     truth, odometry, path_rows, ranges, beacons = (found[name] for name in COLUMNS)
     _check_times(path, truth, odometry, path_rows)
     _check_ranges(path, truth, ranges, beacons)
@@ -64,32 +56,6 @@ def read_plaza(path: str | os.PathLike[str]) -> RangeOnlyRecording:
         rows[:, 0] -= begin
     ranges = ranges[np.argsort(ranges[:, 0], kind="stable")][:, [0, 2, 3]]
     return RangeOnlyRecording(truth, odometry, path_rows[:, 1:3], ranges, beacons, label(path))
-
-
-def _variables(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """Load the variables as float64 once their headers promise matrices of numbers of the right width and of bearable size."""
-    import scipy.io
-
-    with foreign(path, "an undamaged MATLAB 5 file"), warnings.catch_warnings():
-        warnings.simplefilter("error", scipy.io.matlab.MatReadWarning)
-        promised = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(path, appendmat=False)}
-        for name, width in COLUMNS.items():
-            if name not in promised:
-                reject(path, f"a variable named {name}", ", ".join(promised)[:160] or "no variable")
-            shape, kind = promised[name]
-            if kind not in NUMERIC or len(shape) != 2 or shape[1] != width or not 0 < shape[0] <= LARGEST:
-                reject(path, f"{name} as a matrix of numbers with {width} columns", f"{kind} of shape {tuple(shape)}")
-        loaded = scipy.io.loadmat(path, appendmat=False, variable_names=list(COLUMNS))
-    found = {}
-    for name in COLUMNS:
-        values = loaded.get(name)
-        if not isinstance(values, np.ndarray) or values.shape != promised[name][0] or values.dtype.kind not in "iuf":
-            reject(path, f"{name} as its header describes it", "damaged contents or complex numbers")
-        found[name] = values.astype(np.float64)
-        if not np.isfinite(found[name]).all():
-            row, column = np.argwhere(~np.isfinite(found[name]))[0] + 1
-            reject(path, f"finite numbers in {name}", f"{found[name][row - 1, column - 1]} in row {row}, column {column}")
-    return found
 
 
 def _check_times(path: str | os.PathLike[str], truth: np.ndarray, odometry: np.ndarray, path_rows: np.ndarray) -> None:
