@@ -89,6 +89,5 @@ def _scale(axes: Any, history: History, scenario: Any) -> None:
     low, high = (mean - spread)[settled].min(), (mean + spread)[settled].max()
     room = 0.35 * (high - low)
     axes.set(title=f"Scale error of the ranges: {mean[-1]:.2f} %", xlabel="time in s", ylabel="percent", ylim=(low - room, high + room))
-    axes.set_xlim(scenario.times[0], scenario.times[-1])
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", ncols=2, frameon=False, fontsize="small")
