@@ -1,0 +1,200 @@
+"""The recorded run as a job for a filter: one line of time for odometry and ranges, the numbers of the model, and the score."""
+
+import os
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.applications.range_only.model import DriveNoise, Step, range_only_model
+from motes.core import checks
+from motes.core.record import record
+from motes.filters.history import History
+from motes.io.recordings import RangeOnlyRecording, read_plaza
+from motes.laws.gaussian import Gaussian
+from motes.models.state_space import StateSpaceModel
+
+RANGE_SD = 0.54
+START_SD = (0.5, 0.5, 0.1, 0.002, 0.1, 0.3)
+"""Standard deviations of the states at the start: m, m, rad, rad/s, a share, m (0.3 m is a nanosecond of delay in the radios)."""
+STANDING = 0.02
+"""A step of the odometry shorter than this, in meters, has no course and counts as standing."""
+SMOOTHING = 11
+"""Steps over which the course of the drifting path is averaged."""
+
+
+@record
+class Scenario:
+    """What a filter is given, and what its answer is held against.
+
+    The filter's steps are all times at which something was measured, odometry or range. Times are in seconds since the start.
+
+    Attributes:
+        model: the model.
+        ys: ranges `(t, b)`, one column per beacon, meters; NaN where none came at that time.
+        inputs: what the odometry says of each step, fields `(t,)`; the first step has no length.
+        times: `(t,)`.
+        scored: steps `(s,)` at which the truth is known: those of the odometry.
+        truth: x, y, heading there, `(s, 3)`.
+        dead_reckoning: x, y by odometry alone there, `(s, 2)`.
+        beacons: places of the beacons, `(b, 2)`.
+    """
+
+    model: StateSpaceModel
+    ys: np.ndarray
+    inputs: Step
+    times: np.ndarray
+    scored: np.ndarray
+    truth: np.ndarray
+    dead_reckoning: np.ndarray
+    beacons: np.ndarray
+
+
+class Score(NamedTuple):
+    """How good a run was.
+
+    Attributes:
+        rms: root mean square of the distance from the true position over all times of the odometry, meters.
+        worst: largest such distance, meters.
+        final: the distance at the end, meters.
+        scale: estimate of the scale error at the end, a share.
+        scale_sd: standard deviation that the filter gives it.
+    """
+
+    rms: jax.Array
+    worst: jax.Array
+    final: jax.Array
+    scale: jax.Array
+    scale_sd: jax.Array
+
+
+def load(path: str | os.PathLike[str], odometry: str = "recorded") -> Scenario:
+    """Read a recording and make it a job with a known start.
+
+    Args:
+        path: MATLAB file of the Plaza form.
+        odometry: "recorded" takes distance and turn of each step from the file, where turns are those of the true heading; "drifting" takes
+            the turns from the course of the file's drifting path, which loses about 20 m on its own.
+
+    Raises:
+        FileError: the file cannot be used.
+        MotesError: odometry is neither of the two.
+    """
+    checks.option("odometry", odometry, ("recorded", "drifting"))
+    recording = read_plaza(path)
+    turns = recording.odometry[:, 2] if odometry == "recorded" else drifting_turns(recording)
+    return scenario(recording, turns)
+
+
+def scenario(recording: RangeOnlyRecording, turns: np.ndarray) -> Scenario:
+    """Make a job of a recording with the given turns `(t - 1,)` of the odometry's steps, radians."""
+    times, scored, ys = time_line(recording)
+    steps = recording.truth[:, 0]
+    forward = recording.odometry[:, 1]
+    moved = times > steps[first_motion(forward)]
+    inputs = Step(
+        dt=_floats(np.diff(times, prepend=times[0])),
+        forward=_floats(_shared_out(times, steps, forward)),
+        turn=_floats(_shared_out(times, steps, turns)),
+    )
+    start = recording.truth[0, 1:4]
+    initial = Gaussian(_floats([*start, 0, 0, 0]), _floats(np.diag(np.square(START_SD))))
+    model = range_only_model(_floats(recording.beacons[:, 1:3]), initial, RANGE_SD, DriveNoise())
+    # hundreds of ranges to a robot that stands would leave a handful of headings: the start is known better than they tell
+    ys = np.where(moved[:, None], ys, np.nan)
+    path = dead_reckoning(start, forward, turns)
+    return Scenario(model, ys, inputs, times, scored, recording.truth[:, 1:4], path, recording.beacons[:, 1:3])
+
+
+def time_line(recording: RangeOnlyRecording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Merge odometry and ranges into one sequence of steps; ranges of one instant share a step unless they are to the same beacon.
+
+    Returns:
+        Times `(t,)`, the step of each row of truth `(s,)`, and the ranges `(t, b)`, NaN where there is none.
+    """
+    column = np.argmax(recording.ranges[:, 1, None] == recording.beacons[None, :, 0], axis=1)
+    instants = np.concatenate([recording.truth[:, 0], recording.ranges[:, 0]])
+    repeat = np.concatenate([np.zeros(len(recording.truth)), _repeats(recording.ranges[:, 0], column)])
+    keys, step = np.unique(np.stack([instants, repeat], axis=1), axis=0, return_inverse=True)
+    scored, measured = np.split(step, [len(recording.truth)])
+    ys = np.full((len(keys), len(recording.beacons)), np.nan)
+    ys[measured, column] = recording.ranges[:, 2]
+    return keys[:, 0], scored, ys
+
+
+def _repeats(times: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """For each range, how many ranges to the same beacon came before it at the same instant."""
+    order = np.lexsort((column, times))
+    new = np.ones(len(order), bool)
+    new[1:] = (np.diff(times[order]) != 0) | (np.diff(column[order]) != 0)
+    place = np.arange(len(order))
+    counted = np.empty(len(order))
+    counted[order] = place - np.maximum.accumulate(np.where(new, place, 0))
+    return counted
+
+
+def _shared_out(times: np.ndarray, ends: np.ndarray, amounts: np.ndarray) -> np.ndarray:
+    """Share amounts `(s - 1,)` between successive ends `(s,)` out over finer times `(t,)`, in proportion to time."""
+    total = np.interp(times, ends, np.concatenate([[0.0], np.cumsum(amounts)]))
+    return np.diff(total, prepend=0.0)
+
+
+def first_motion(forward: np.ndarray) -> int:
+    """Return the first step of the odometry in which the robot moves."""
+    return int(np.argmax(np.abs(forward) > STANDING))
+
+
+def drifting_turns(recording: RangeOnlyRecording) -> np.ndarray:
+    """Return the turn `(t - 1,)` of each step by the course of the drifting path, smoothed, and interpolated while the robot stands.
+
+    Raises:
+        MotesError: the robot never moves.
+    """
+    steps = np.diff(recording.drifting_path, axis=0)
+    moving = np.hypot(steps[:, 0], steps[:, 1]) > STANDING
+    if not moving.any():
+        checks.refuse("drifting path", f"a step longer than {STANDING} m", "a robot that stands")
+    course = np.unwrap(np.arctan2(steps[moving, 1], steps[moving, 0]))
+    course = np.interp(np.arange(len(steps)), np.flatnonzero(moving), course)
+    course = np.convolve(np.pad(course, SMOOTHING // 2, mode="edge"), np.full(SMOOTHING, 1 / SMOOTHING), "valid")
+    # the course of a step is the heading at its middle; headings at its ends are means of neighbors
+    padded = np.pad(course, 1, mode="edge")
+    return np.diff((padded[1:] + padded[:-1]) / 2)
+
+
+def dead_reckoning(start: np.ndarray, forward: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Return the path `(s, 2)` by odometry `(s - 1,)` alone, from a start (x, y, heading)."""
+    course = start[2] + np.cumsum(turns) - turns / 2
+    steps = forward[:, None] * np.stack([np.cos(course), np.sin(course)], axis=1)
+    return start[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+
+
+def errors(history: History, scenario: Scenario) -> jax.Array:
+    """Distance of the estimated from the true position at the scored times, `(s,)`, meters."""
+    apart = history.mean[scenario.scored, :2] - scenario.truth[:, :2]
+    return jnp.hypot(apart[:, 0], apart[:, 1])
+
+
+def score(history: History, scenario: Scenario) -> Score:
+    """Judge a whole run; needs means and covariances. Pure: it can be jitted and vmapped together with the run.
+
+    Raises:
+        MotesError: the history does not cover the scenario.
+    """
+    steps = len(scenario.times)
+    if history.mean.shape[0] != steps:
+        checks.refuse("history", f"all {steps} steps of the scenario", f"{history.mean.shape[0]} steps", "Join the chunks first.")
+    error = errors(history, scenario)
+    scale = scenario.model.index("scale")
+    return Score(
+        rms=jnp.sqrt(jnp.mean(error**2)),
+        worst=jnp.max(error),
+        final=error[-1],
+        scale=history.mean[-1, scale],
+        scale_sd=jnp.sqrt(history.cov[-1, scale, scale]),
+    )
+
+
+def _floats(values: np.ndarray | list[float]) -> jax.Array:
+    return jnp.asarray(values, jnp.result_type(float))

@@ -1,0 +1,83 @@
+"""Recordings of a ground robot that measures ranges to beacons, from MATLAB files of the form of the Plaza data sets.
+
+Source of the form: Djugash, Hamner, Roth, "Navigating with ranging radios: five data sets with ground truth", J. Field Robotics 2009.
+"""
+
+import os
+
+import numpy as np
+
+from motes.core.record import record, static
+from motes.io.files import label, reject
+from motes.io.matlab import read_matrices
+
+COLUMNS = {"GT": 4, "DR": 3, "DRp": 4, "TD": 4, "TL": 3}
+
+
+@record
+class RangeOnlyRecording:
+    """What a robot measured, and where it was. All arrays are float64, in seconds, meters and radians; time 0 is the first row of truth.
+
+    Attributes:
+        truth: `(t, 4)`: time, x, y, heading from east, counterclockwise.
+        odometry: `(t - 1, 3)`: time at the end of the step, distance forward, turn; step i leads from row i of truth to row i + 1.
+        drifting_path: `(t, 2)`: x, y by another odometry, whose heading drifts, at the times of truth.
+        ranges: `(r, 3)`: time, id of the beacon, range; in order of time.
+        beacons: `(b, 3)`: id, x, y, surveyed.
+        source: name of the file.
+    """
+
+    truth: np.ndarray
+    odometry: np.ndarray
+    drifting_path: np.ndarray
+    ranges: np.ndarray
+    beacons: np.ndarray
+    source: str = static("recording")
+
+
+def read_plaza(path: str | os.PathLike[str]) -> RangeOnlyRecording:
+    """Read a recording from a MATLAB 5 file with the variables GT, DR, DRp, TD and TL.
+
+    Ranges are sorted by time (the receiver's log goes back in time at places); the sender in the second column of TD is left out.
+
+    Args:
+        path: the file.
+
+    Raises:
+        FileError: the file is damaged or no MATLAB 5 file, or a variable is missing, has another shape, holds something other than finite
+            numbers, or does not fit the others; the message names the variable.
+    """
+    found = read_matrices(path, COLUMNS)
+    truth, odometry, path_rows, ranges, beacons = (found[name] for name in COLUMNS)
+    _check_times(path, truth, odometry, path_rows)
+    _check_ranges(path, truth, ranges, beacons)
+    begin = truth[0, 0]
+    for rows in (truth, odometry, ranges):
+        rows[:, 0] -= begin
+    ranges = ranges[np.argsort(ranges[:, 0], kind="stable")][:, [0, 2, 3]]
+    return RangeOnlyRecording(truth, odometry, path_rows[:, 1:3], ranges, beacons, label(path))
+
+
+def _check_times(path: str | os.PathLike[str], truth: np.ndarray, odometry: np.ndarray, path_rows: np.ndarray) -> None:
+    if len(truth) < 2 or len(odometry) != len(truth) - 1 or len(path_rows) != len(truth):
+        reject(path, "one row less in DR than in GT and DRp", f"{len(odometry)}, {len(truth)} and {len(path_rows)} rows")
+    if (np.diff(truth[:, 0]) <= 0).any():
+        reject(path, "times that increase in GT", f"a step back in row {int(np.argmax(np.diff(truth[:, 0]) <= 0)) + 2}")
+    apart = np.abs(odometry[:, 0] - truth[1:, 0]) > 1e-3
+    if apart.any():
+        reject(path, "times in DR equal to those in GT from its second row on", f"others in row {int(np.argmax(apart)) + 1}")
+
+
+def _check_ranges(path: str | os.PathLike[str], truth: np.ndarray, ranges: np.ndarray, beacons: np.ndarray) -> None:
+    ids = beacons[:, 0]
+    if len(np.unique(ids)) != len(ids):
+        reject(path, "different beacon ids in TL", ids.tolist())
+    bad = ~np.isin(ranges[:, 2], ids)
+    if bad.any():
+        reject(path, f"beacon ids in TD among {ids.tolist()}", f"{ranges[np.argmax(bad), 2]} in row {int(np.argmax(bad)) + 1}")
+    bad = ranges[:, 3] < 0
+    if bad.any():
+        reject(path, "ranges in TD that are not negative", f"{ranges[np.argmax(bad), 3]} in row {int(np.argmax(bad)) + 1}")
+    bad = (ranges[:, 0] < truth[0, 0]) | (ranges[:, 0] > truth[-1, 0])
+    if bad.any():
+        reject(path, "times in TD within those of GT", f"{ranges[np.argmax(bad), 0]} in row {int(np.argmax(bad)) + 1}")

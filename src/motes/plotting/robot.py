@@ -1,0 +1,93 @@
+"""Picture of a run of the range-only robot: the map, the error and the scale of the ranges."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motes.core import checks
+from motes.filters.history import History
+
+TRUE, ESTIMATED, RECKONED, BAND = "black", "tab:blue", "tab:orange", 0.25
+GAP = 10.0
+"""Times without a range are shaded where they are longer than this, seconds."""
+
+
+def plot_robot(history: History, scenario: Any, path: str | os.PathLike[str]) -> Path:
+    """Draw tracks and beacons, position error against time, and the estimated scale against time; bands are two standard deviations.
+
+    Args:
+        history: a whole run, with means and covariances.
+        scenario: the job that was run, with times, scored, truth, dead_reckoning, beacons and ys.
+        path: where to write; the ending decides the format.
+
+    Returns:
+        The path.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        FileError: the file cannot be written.
+    """
+    checks.need("matplotlib", "results")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplot_mosaic([["map", "error"], ["map", "scale"]])
+    _map(axes["map"], history, scenario)
+    _error(axes["error"], history, scenario)
+    _scale(axes["scale"], history, scenario)
+    axes["scale"].sharex(axes["error"])
+    path = Path(path)
+    try:
+        figure.savefig(path, dpi=150)
+    except (OSError, ValueError) as reason:
+        checks.refuse(str(path), "a place and a format for a picture", " ".join(str(reason).split())[:200], error=checks.FileError)
+    return path
+
+
+def _map(axes: Any, history: History, scenario: Any) -> None:
+    estimate = np.asarray(history.mean)[scenario.scored]
+    axes.plot(*scenario.dead_reckoning.T, color=RECKONED, lw=0.8, label="odometry alone")
+    axes.plot(*scenario.truth[:, :2].T, color=TRUE, lw=1.6, label="truth (RTK GPS)")
+    axes.plot(estimate[:, 0], estimate[:, 1], color=ESTIMATED, lw=0.9, label="estimate")
+    axes.plot(*scenario.beacons.T, "^", color="tab:red", ms=9, label="beacon")
+    axes.plot(*scenario.truth[0, :2], "o", mfc="white", color=TRUE, ms=7, label="start")
+    axes.set(title="Map", xlabel="x in m", ylabel="y in m", aspect="equal")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=5, frameon=False, fontsize="small", columnspacing=1.2)
+
+
+def _error(axes: Any, history: History, scenario: Any) -> None:
+    times = scenario.times[scenario.scored]
+    mean, cov = (np.asarray(values)[scenario.scored] for values in (history.mean, history.cov))
+    error = np.hypot(*(mean[:, :2] - scenario.truth[:, :2]).T)
+    claimed = np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
+    rms = np.sqrt(np.mean(error**2))
+    axes.fill_between(times, 0, 2 * claimed, color=ESTIMATED, alpha=BAND, lw=0, label="two standard deviations")
+    axes.plot(times, error, color=TRUE, lw=0.7, label="actual")
+    measured = np.concatenate([[times[0]], scenario.times[~np.isnan(scenario.ys).all(axis=1)], [times[-1]]])
+    for place, i in enumerate(np.flatnonzero(np.diff(measured) > GAP)):
+        label = None if place else f"no range for {GAP:.0f} s or more"
+        axes.axvspan(measured[i], measured[i + 1], color="0.88", lw=0, zorder=0, label=label)
+    top = 1.45 * max(error.max(), np.quantile(2 * claimed, 0.99))
+    axes.set(title=f"Position error: {rms:.2f} m RMS, {error.max():.2f} m at worst", ylabel="m", ylim=(0, top))
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper right", ncols=3, framealpha=1, fontsize="small", columnspacing=1.2)
+
+
+def _scale(axes: Any, history: History, scenario: Any) -> None:
+    place = history.names.index("scale")
+    mean = 100 * np.asarray(history.mean)[:, place]
+    spread = 200 * np.sqrt(np.asarray(history.cov)[:, place, place])
+    axes.fill_between(scenario.times, mean - spread, mean + spread, color=ESTIMATED, alpha=BAND, lw=0, label="two standard deviations")
+    axes.plot(scenario.times, mean, color=ESTIMATED, lw=1.2, label="estimate")
+    # the prior is so wide that it would hide everything after the first seconds
+    settled = scenario.times > 0.1 * scenario.times[-1]
+    low, high = (mean - spread)[settled].min(), (mean + spread)[settled].max()
+    room = 0.35 * (high - low)
+    axes.set(title=f"Scale error of the ranges: {mean[-1]:.2f} %", xlabel="time in s", ylabel="percent", ylim=(low - room, high + room))
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper left", ncols=2, frameon=False, fontsize="small")
