@@ -10,6 +10,7 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.logspace import RunningSum
+from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.filters import keep as keeping
 from motes.filters.history import Carry, History
@@ -52,7 +53,8 @@ def run(
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
     ys = checked_measurements(filter, model, ys, inputs)
     first = None if after is None else after.last
-    history = _run(key, filter, model, ys, inputs, keep, first)
+    # outside of jit the knobs print as numbers
+    history = replace(_run(key, filter, model, ys, inputs, keep, first), label=repr(filter))
     if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
     return history
@@ -90,7 +92,7 @@ def _run(key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inpu
     else:
         start = first.step + 1
         carry, (kept, infos) = jax.lax.scan(advance, first, (ys, inputs))
-    return History(kept, infos, carry, start, model.names, repr(filter), engine.filter.has_evidence)
+    return History(kept, infos, carry, start, model.names, "", engine.filter.has_evidence)
 
 
 class Engine:

@@ -128,9 +128,9 @@ class AdditiveGaussian(Conditional):
         Raises:
             MotesError: f is not callable, or Q is not a covariance.
         """
-        check_function("AdditiveGaussian f", f)
+        check_function(f"{type(self).__name__} f", f)
         object.__setattr__(self, "f", f)
-        object.__setattr__(self, "Q", check_noise_cov("AdditiveGaussian Q", Q))
+        object.__setattr__(self, "Q", check_noise_cov(f"{type(self).__name__} Q", Q))
         object.__setattr__(self, "angles", tuple(angles))
 
     def given(self, x: jax.Array, u: Any, t: Any) -> Gaussian:

@@ -1,0 +1,143 @@
+"""Every refusal is one line that names the argument, what was expected, what was given, and what to do."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import motes as mo
+
+EYE = np.eye(2)
+
+
+def good_model(**changes):
+    parts = {
+        "initial": mo.Gaussian([0.0, 1.0], EYE),
+        "dynamics": mo.LinearGaussian(0.9 * EYE, 0.1 * EYE),
+        "sensor": mo.AdditiveGaussian(lambda x, u, t: x[:1] ** 2, [[0.5]]),
+        "names": ("a", "b"),
+    }
+    return mo.StateSpaceModel(**(parts | changes))
+
+
+def run_with(filter=None, ys=None, model=None, **rest):
+    ys = np.ones((4, 1)) if ys is None else ys
+    return mo.run(0, filter or mo.ParticleFilter(n=50), model or good_model(), ys, **rest)
+
+
+def jump(x, u, t):
+    return jnp.stack([x[0] * x[1], x[1]])
+
+
+def test_the_good_model_runs():
+    assert run_with().mean.shape == (4, 2)
+
+
+CASES = {
+    # covariances
+    "not symmetric": (lambda: mo.Gaussian([0.0, 0], [[1.0, 0.5], [0.0, 1.0]]), "Gaussian cov: expected a symmetric covariance, got 0.5 at [0, 1]"),
+    "not semi-definite": (lambda: mo.Gaussian([0.0, 0], [[1.0, 2.0], [2.0, 1.0]]), "Gaussian cov: expected a positive semi-definite covariance"),
+    "negative variance": (lambda: mo.LinearGaussian(EYE, np.diag([1.0, -0.1])), "LinearGaussian Q: expected a positive semi-definite"),
+    "infinite covariance": (lambda: mo.Gaussian([0.0], [[np.inf]]), "Gaussian cov: expected finite numbers in the covariance"),
+    "cov of another size": (lambda: mo.Gaussian([0.0, 0], [[1.0]]), "Gaussian cov: expected shape (2, 2) (a covariance matrix), got shape (1, 1)"),
+    "mean not finite": (lambda: mo.Gaussian([np.nan], [[1.0]]), "Gaussian mean: expected finite numbers, got nan at index [0]"),
+    "text for numbers": (lambda: mo.Gaussian(["a"], [[1.0]]), "Gaussian mean: expected an array of numbers"),
+    "rows of A": (lambda: mo.LinearGaussian(np.ones((3, 2)), EYE), "LinearGaussian Q: expected shape (3, 3) (rows of A), got shape (2, 2)"),
+    "joint noise covariance": (
+        lambda: good_model(sensor=mo.LinearGaussian(EYE, EYE), noise_cross_cov=EYE), "noise_cross_cov (with Q and R as one joint covariance)"),
+    # models
+    "f not a function": (lambda: mo.AdditiveGaussian(3, EYE), "AdditiveGaussian f: expected a function f(x, u, t) of one state, got int"),
+    "no law": (lambda: mo.AdditiveNoise(lambda x, u, t: x, 0.5), "AdditiveNoise law: expected a law, or an object with sample"),
+    "sensor of another kind": (lambda: good_model(sensor=EYE), "StateSpaceModel sensor: expected LinearGaussian, AdditiveGaussian"),
+    "names": (lambda: good_model(names=("a", "a")), "StateSpaceModel names: expected 2 different names, one per state, got ['a', 'a']"),
+    "f of another size": (
+        lambda: run_with(model=good_model(dynamics=mo.AdditiveGaussian(lambda x, u, t: x[:1], [[1.0]]))),
+        "dynamics f(x, u, t): expected a vector of shape (2,), got shape (1,)"),
+    "Q of another size": (
+        lambda: run_with(model=good_model(dynamics=mo.AdditiveGaussian(lambda x, u, t: x, [[1.0]]))),
+        "dynamics Q: expected shape (2, 2) (the size of its f), got shape (1, 1)"),
+    "angle out of range": (
+        lambda: run_with(model=good_model(sensor=mo.AdditiveGaussian(lambda x, u, t: x[:1], [[1.0]], angles=(3,)))),
+        "sensor angles: expected indices of the 1 components, got [3]"),
+    "custom without functions": (lambda: mo.Custom(), "Custom: expected sample, log_prob or both, got neither"),
+    "mixture weights": (lambda: mo.Mixture.of([-1.0, 2.0], [[0.0, 1.0]], [[[1.0, 1.0]]]), "Mixture weights: expected weights >= 0"),
+    "steps": (lambda: mo.simulate(0, good_model(), 0), "simulate steps: expected a whole number of at least 1, got 0"),
+    "key": (lambda: mo.simulate("seed", good_model(), 3), "key: expected a JAX key or an integer seed, got 'str'"),
+    "structure of what": (lambda: mo.structure(EYE), "structure model: expected a StateSpaceModel or a MixedLinearModel, got ndarray"),
+    # states by name
+    "unknown state": (
+        lambda: run_with(mo.MarginalizedParticleFilter(n=9, linear=("speed",))), "state: expected one of the names a, b or an index below 2, got 'speed'"),
+    "not linear": (
+        lambda: run_with(mo.MarginalizedParticleFilter(n=9, linear=("a",))),
+        "linear: expected states that are conditionally linear-Gaussian, got a: sensor is nonlinear in it"),
+    "not jointly linear": (
+        lambda: run_with(mo.MarginalizedParticleFilter(n=9, linear=("a", "b")), model=good_model(
+            dynamics=mo.AdditiveGaussian(jump, EYE), sensor=mo.AdditiveGaussian(lambda x, u, t: x[1:], [[1.0]]))),
+        "linear: expected states in which the model is jointly linear, got dynamics is not jointly linear in a and b"),
+    # filters
+    "n": (lambda: mo.ParticleFilter(n=0), "ParticleFilter n: expected a whole number of at least 1, got 0"),
+    "n not whole": (lambda: mo.MarginalizedParticleFilter(n=10.5), "MarginalizedParticleFilter n: expected a whole number of at least 1, got 10.5"),
+    "proposal": (lambda: mo.ParticleFilter(n=3, proposal=EYE), "ParticleFilter proposal: expected a conditional such as AdditiveGaussian, got ndarray"),
+    "grid ends": (lambda: mo.PointMassFilter(1.0, 0.0, 9), "PointMassFilter lower: expected numbers below those of upper"),
+    "grid dimensions": (lambda: run_with(mo.PointMassFilter(0.0, 1.0, 9)), "PointMassFilter nodes: expected 2 dimensions (states of the model), got 1"),
+    "not linear for Kalman": (lambda: run_with(mo.KalmanFilter()), "KalmanFilter model: expected a linear-Gaussian model, got a: sensor is nonlinear in it"),
+    "no moments": (
+        lambda: run_with(mo.ExtendedKalmanFilter(), model=good_model(sensor=mo.Custom(log_prob=lambda y, x, u, t: 0.0))),
+        "ExtendedKalmanFilter sensor: expected a mean function and a noise covariance"),
+    "no density": (
+        lambda: run_with(model=good_model(sensor=mo.Custom(sample=lambda key, x, u, t: x))),
+        "ParticleFilter sensor: expected a log_prob (weights are likelihoods), got Custom with sample only"),
+    "no filter": (lambda: mo.run(0, 5, good_model(), np.ones((3, 1))), "run filter: expected a filter such as ParticleFilter(n=1000), got int"),
+    "no model": (lambda: mo.run(0, mo.ParticleFilter(n=5), EYE, np.ones((3, 1))), "run model: expected a StateSpaceModel or a MixedLinearModel"),
+    # data
+    "infinite measurement": (lambda: run_with(ys=np.array([[1.0], [np.inf]])), "ys: expected finite numbers, or NaN for what was not measured, got inf at index [1, 0]"),
+    "one axis": (lambda: run_with(ys=np.ones(5)), "ys: expected shape (t, y) with at least one step, got shape (5,). Write ys[:, None]"),
+    "no step": (lambda: run_with(ys=np.ones((0, 1))), "ys: expected shape (t, y) with at least one step, got shape (0, 1)"),
+    "other width": (lambda: run_with(ys=np.ones((5, 3))), "ys: expected shape (t, 1), as the sensor measures, got 3 components"),
+    "words": (lambda: run_with(ys=np.array([["a"], ["b"]])), "ys: expected real numbers, shape (t, y), got dtype <U1"),
+    "inputs too short": (lambda: run_with(inputs={"dt": np.ones(3)}), "inputs: expected arrays with the time axis first, 4 steps as ys"),
+    "partly missing": (
+        lambda: run_with(ys=np.array([[1.0, 2.0], [np.nan, 1.0]]), model=good_model(sensor=mo.Custom(log_prob=lambda y, x, u, t: -jnp.sum((y - x) ** 2)))),
+        "ys: expected rows without NaN, or all NaN (Custom cannot leave out single components), got row 1 partly NaN"),
+    "nothing kept": (lambda: run_with(keep=mo.keep.nothing).mean, "history.mean: expected a run that kept it (nothing was kept), got none"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_refusal(name):
+    attempt, message = CASES[name]
+    with pytest.raises(mo.MotesError) as error:
+        attempt()
+    text = str(error.value)
+    assert message in text, text
+    assert "\n" not in text and len(text) <= 500
+
+
+def test_missing_extra_says_what_to_install(monkeypatch, tmp_path):
+    def without(name):
+        raise ModuleNotFoundError(f"No module named '{name}'")
+
+    history = run_with()
+    monkeypatch.setattr("importlib.import_module", without)
+    with pytest.raises(mo.MissingExtraError, match=r"xarray: needed for this .* pip install 'motes\[results\]'"):
+        history.to_xarray()
+    with pytest.raises(mo.MissingExtraError, match=r"pip install 'motes\[results\]'"):
+        history.save(tmp_path / "run.nc")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_stream_refusals(tmp_path):
+    stream = mo.stream(0, mo.ParticleFilter(n=20), good_model())
+    with pytest.raises(mo.MotesError, match="predict: expected a measurement of step 0 first"):
+        stream.predict()
+    with pytest.raises(mo.MotesError, match="stream: expected a first measurement"):
+        stream.mean  # noqa: B018
+    with pytest.raises(mo.MotesError, match="save: expected a stream that has begun"):
+        stream.save(tmp_path / "c.npz")
+    stream.update([1.0])
+    with pytest.raises(mo.MotesError, match="update: expected one measurement per step, got a second one"):
+        stream.update([1.0])
+    stream.predict()
+    with pytest.raises(mo.MotesError, match="y: expected finite numbers, or NaN"):
+        stream.update([np.inf])
+    with pytest.raises(mo.MotesError, match=r"y: expected shape \(1,\)"):
+        stream.update([1.0, 2.0])
