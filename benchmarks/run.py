@@ -63,7 +63,7 @@ def main():
             for n in (2_000, 20_000, 200_000)
         ),
         *(
-            (f"marginalized, turning, Riccati per particle (k = 4), n = {n}", mo.MarginalizedParticleFilter(n=n, policy=mo.Always(), **on), turning)
+            (f"marginalized, Riccati per particle (k = 4), n = {n}", mo.MarginalizedParticleFilter(n=n, policy=mo.Always(), **on), turning)
             for n in (2_000, 20_000)
         ),
     ]

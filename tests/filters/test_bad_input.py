@@ -116,11 +116,11 @@ def test_missing_extra_says_what_to_install(monkeypatch, tmp_path):
     def without(name):
         raise ModuleNotFoundError(f"No module named '{name}'")
 
-    history = run_with()
+    history, missing = run_with(), mo.MissingExtraError
     monkeypatch.setattr("importlib.import_module", without)
-    with pytest.raises(mo.MissingExtraError, match=r"xarray: needed for this .* pip install 'motes\[results\]'"):
+    with pytest.raises(missing, match=r"xarray: needed for this .* pip install 'motes\[results\]'"):
         history.to_xarray()
-    with pytest.raises(mo.MissingExtraError, match=r"pip install 'motes\[results\]'"):
+    with pytest.raises(missing, match=r"pip install 'motes\[results\]'"):
         history.save(tmp_path / "run.nc")
     assert list(tmp_path.iterdir()) == []
 

@@ -78,10 +78,14 @@ class MarginalizedParticleFilter(TwoStageFilter):
         own, other = (model.over(part, cloud.particles, u, t) for part in ("particle", "kalman"))
         if cloud.particles.shape[0] == 0:
             return replace(cloud, kalman=cloud.kalman.through(other.A, other.f, other.Q))
-        expected = cloud.kalman.through(own.A, own.f, own.Q)
-        surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(random.child(key, random.NOISE), self.n)
-        informed = cloud.kalman.corrected(surprise, own.A, own.Q).law
-        moved = expected.center + surprise
+        noise_key = random.child(key, random.NOISE)
+        if model.drives:
+            expected = cloud.kalman.through(own.A, own.f, own.Q)
+            surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(noise_key, self.n)
+            informed = cloud.kalman.corrected(surprise, own.A, own.Q).law
+            moved = expected.center + surprise
+        else:
+            informed, moved = cloud.kalman, Gaussian(own.f, own.Q).sample(noise_key, self.n)
         f, A, Q = _decorrelated(own, other, model.cross_cov(cloud.particles, u, t), moved)
         return replace(cloud, particles=moved, kalman=informed.through(A, f, Q))
 

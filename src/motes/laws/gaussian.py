@@ -107,8 +107,10 @@ class Gaussian(Law):
         P = self.covariance
         cross = linalg.product(H, P)
         factor = linalg.cholesky(linalg.symmetric(linalg.add(linalg.product(cross, linalg.transpose(H)), R)))
+        # the barriers keep compilers from working factor and gain out again for every entry that uses them
+        factor = jax.lax.optimization_barrier(factor)
         log_evidence, peak = _log_density(innovation, factor, seen)
-        gain = linalg.transpose(linalg.solve(*_same_batch(factor, cross)))
+        gain = jax.lax.optimization_barrier(linalg.transpose(linalg.solve(*_same_batch(factor, cross))))
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = linalg.add_vectors(linalg.times_vector(gain, usable), self.center)
         kept = linalg.add(linalg.identity_like(P), -linalg.product(gain, H))

@@ -24,6 +24,7 @@ class SplitModel:
         mixed: the model.
         varies: which matrices depend on the particle: of "particle", "kalman", "sensor", "cross_cov", slope (1) or noise (2).
         per_particle: whether the covariance of the Kalman part does.
+        drives: whether the Kalman part enters the dynamics of the particle part; if not, moving particles tell nothing of it.
         likelihood: the sensor itself where it does not see the Kalman part, else None.
     """
 
@@ -31,6 +32,7 @@ class SplitModel:
     likelihood: Conditional | None
     varies: tuple[tuple[str, int], ...] = static()
     per_particle: bool = static()
+    drives: bool = static()
 
     @property
     def measures_linear(self) -> bool:
@@ -80,7 +82,7 @@ def split(model: Any, linear: tuple[str | int, ...] | None, inputs: Inputs) -> S
         if linear is not None and set(linear) - set(model.linear) - {model.names[i] for i in model.linear}:
             return split(model.joined(), linear, inputs)
         varies = _mixed_varies(model, inputs)
-        return SplitModel(model, None, varies, bool(varies))
+        return SplitModel(model, None, varies, bool(varies), True)
     if not isinstance(model, StateSpaceModel):
         checks.refuse("MarginalizedParticleFilter model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__)
     traced = trace(model, inputs)
@@ -90,7 +92,9 @@ def split(model: Any, linear: tuple[str | int, ...] | None, inputs: Inputs) -> S
     varies += [("sensor", i) for i, what in ((1, "slope"), (2, "noise")) if f"sensor {what}" in moving]
     varies += [("cross_cov", 2)] if "dynamics noise" in moving else []
     sees = bool(traced.direct[list(chosen)].any())
-    return SplitModel(_mixed(model, chosen), None if sees else model.sensor, tuple(varies), bool(varies))
+    own = [i for i in range(model.size) if i not in chosen]
+    drives = bool(traced.moved_by[np.ix_(own, chosen)].any())
+    return SplitModel(_mixed(model, chosen), None if sees else model.sensor, tuple(varies), bool(varies), drives)
 
 
 def _asked_for(traced: Traced, model: StateSpaceModel, linear: tuple[str | int, ...]) -> tuple[int, ...]:

@@ -61,12 +61,14 @@ class Traced(NamedTuple):
         slope_pairs: for dynamics and sensor with additive Gaussian noise, the interacting pairs of the mean, `(z, m, m)`.
         noise_uses: for the same, the variables that the noise covariance uses, `(m,)`.
         direct: states that the sensor uses, `(x,)`.
+        moved_by: for each state, the states that the mean of its dynamics uses, `(x, x)`.
         closed: states that must be particles, with the reason.
     """
 
     slope_pairs: dict[str, np.ndarray]
     noise_uses: dict[str, np.ndarray]
     direct: np.ndarray
+    moved_by: np.ndarray
     closed: dict[int, str]
 
 
@@ -101,13 +103,14 @@ def trace(model: StateSpaceModel, inputs: Inputs) -> Traced:
     slopes: dict[str, np.ndarray] = {}
     noises: dict[str, np.ndarray] = {}
     closed: dict[int, str] = {}
-    direct = np.zeros(size, bool)
+    direct, moved_by = np.zeros(size, bool), np.ones((size, size), bool)
     for name, part in (("dynamics", model.dynamics), ("sensor", model.sensor)):
         if isinstance(part, AdditiveGaussian):
             mean = dependence(lambda part, x, u, t: part.mean(x, u, t), (part, x, inputs, t), kinds)
             cov = dependence(lambda part, x, u, t: part.cov(x, u, t), (part, x, inputs, t), kinds)
             slopes[name], noises[name] = mean.pairs, cov.uses.reshape(-1, size + 2).any(axis=0)
             used = mean.uses.any(axis=0)[:size]
+            moved_by = mean.uses[:, :size] if name == "dynamics" else moved_by
         else:
             used = np.ones(size, bool) if name == "dynamics" else _states_in_density(part, x, inputs, t)
             closed |= {int(i): f"{name} has noise that is not additive Gaussian" for i in np.flatnonzero(used)}
@@ -120,7 +123,7 @@ def trace(model: StateSpaceModel, inputs: Inputs) -> Traced:
     for name, pairs in slopes.items():
         own = np.einsum("zii->i", pairs[:, :size, :size])
         closed |= {int(i): f"{name} is nonlinear in it" for i in np.flatnonzero(own)}
-    return Traced(slopes, noises, direct, closed)
+    return Traced(slopes, noises, direct, moved_by, closed)
 
 
 def _states_in_density(part: Conditional, x: Any, u: Any, t: Any) -> np.ndarray:
