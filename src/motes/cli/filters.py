@@ -1,0 +1,53 @@
+"""The filter that a user names, as settings and as a record."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from motes.cli.options import refuse
+
+if TYPE_CHECKING:
+    from motes.filters.interface import Filter
+
+KINDS = {"marginalized": "MarginalizedParticleFilter", "particle": "ParticleFilter"}
+POLICIES = {"ess": "ESS", "entropy": "Entropy", "always": "Always", "never": "Never"}
+
+
+@dataclass(frozen=True)
+class FilterChoice:
+    """The filter.
+
+    Attributes:
+        kind: "marginalized" or "particle".
+        n: number of particles.
+        linear: states that a Kalman filter carries, by name; all that can be if none is named. Marginalized only.
+        policy: when to resample: "ess", "entropy", "always" or "never".
+        threshold: of the policies ess (share of n) and entropy (nats); the filter's own if not given.
+    """
+
+    kind: str = "marginalized"
+    n: int = 15_000
+    linear: tuple[str, ...] = ()
+    policy: str = "ess"
+    threshold: float | None = None
+
+
+def build(choice: FilterChoice) -> "Filter":
+    """Return the filter that the settings describe.
+
+    Raises:
+        MotesError: a word is unknown, or a number cannot be used.
+    """
+    import motes
+
+    for name, given, known in (("kind", choice.kind, KINDS), ("policy", choice.policy, POLICIES)):
+        if given not in known:
+            refuse(f"filter {name}", "one of " + ", ".join(map(repr, known)), repr(given))
+    options: dict[str, Any] = {}
+    if choice.linear:
+        if choice.kind != "marginalized":
+            refuse("filter linear", "no states, since only a marginalized filter takes them", list(choice.linear))
+        options["linear"] = choice.linear
+    if choice.threshold is not None and choice.policy not in ("ess", "entropy"):
+        refuse("filter threshold", f"none with the policy {choice.policy!r}", choice.threshold)
+    limits = () if choice.threshold is None else (choice.threshold,)
+    return getattr(motes, KINDS[choice.kind])(n=choice.n, policy=getattr(motes, POLICIES[choice.policy])(*limits), **options)
