@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 from motes.applications.terrain_navigation.settings import ROUTES, Noises
 from motes.cli.compiled import keep_programs
 from motes.cli.filters import KINDS, FilterChoice, build
-from motes.cli.options import from_flags
+from motes.cli.options import check_seed, from_flags
 
 if TYPE_CHECKING:
     from motes.applications.terrain_navigation.scenario import Flight
@@ -50,6 +50,7 @@ def main(words: Sequence[str]) -> None:
         MotesError: an option cannot be used, or a file cannot be written.
     """
     settings = from_flags(Demo(), words, "motes demo terrain")
+    check_seed(settings.seed)
     keep_programs()
     from motes.applications.terrain_navigation import scenario
     from motes.cli.terrain import fly

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 
 KINDS = {"marginalized": "MarginalizedParticleFilter", "particle": "ParticleFilter"}
 POLICIES = {"ess": "ESS", "entropy": "Entropy", "always": "Always", "never": "Never"}
+MOST = 50_000_000
+"""More particles than any machine that this runs on holds; a slip of the keyboard should not exhaust its memory."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ def build(choice: FilterChoice) -> "Filter":
     for name, given, known in (("kind", choice.kind, KINDS), ("policy", choice.policy, POLICIES)):
         if given not in known:
             refuse(f"filter {name}", "one of " + ", ".join(map(repr, known)), repr(given))
+    if choice.n > MOST:
+        refuse("filter n", f"at most {MOST} particles", choice.n)
     options: dict[str, Any] = {}
     if choice.linear:
         if choice.kind != "marginalized":

@@ -46,6 +46,12 @@ def from_flags(default: Settings, words: Sequence[str], command: str) -> Setting
     refuse("options", f"those that {command} --help lists", _first_words(said.getvalue()))
 
 
+def check_seed(seed: int) -> None:
+    """Refuse a seed that the random stream cannot take."""
+    if not 0 <= seed < 2**32:
+        refuse("seed", "a whole number from 0 to 4294967295", seed)
+
+
 def _first_words(box: str) -> str:
     """Return what a framed message says before its first rule, on one line."""
     found = []
@@ -101,13 +107,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     """Return a value of a TOML file in the kind of its field."""
     if isinstance(hint, types.UnionType):
         hint = next(option for option in typing.get_args(hint) if option is not types.NoneType)
-    origin = typing.get_origin(hint)
-    if origin is typing.Literal:
-        allowed = typing.get_args(hint)
-        if value not in allowed:
-            refuse(where, "one of " + ", ".join(map(repr, allowed)), repr(value))
-        return value
-    if origin is tuple:
+    if typing.get_origin(hint) is tuple:
         value = [value] if isinstance(value, str) else value
         if isinstance(value, list) and all(isinstance(item, str) for item in value):
             return tuple(value)

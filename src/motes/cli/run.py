@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from motes.applications.terrain_navigation.settings import MapFiles, Noises, Prior, Recording
 from motes.cli.compiled import keep_programs
 from motes.cli.filters import FilterChoice, build
-from motes.cli.options import from_flags, from_toml, refuse
+from motes.cli.options import check_seed, from_flags, from_toml, refuse
 
 USAGE = "motes run CONFIG.toml"
 
@@ -50,6 +50,7 @@ def main(words: Sequence[str]) -> None:
     if not words or words[0].startswith("-"):
         refuse("motes run", "a TOML file first", " ".join(words) or "nothing", "motes demo writes an example: out/terrain.toml.")
     config = from_flags(from_toml(Config, words[0]), words[1:], USAGE)
+    check_seed(config.seed)
     keep_programs()
     from motes.applications.terrain_navigation import scenario
     from motes.cli.terrain import fly

@@ -4,6 +4,7 @@ import dataclasses
 import io
 import json
 import math
+import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -106,8 +107,23 @@ def number(value: float | None, digits: int) -> str:
     return "-" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
 
 
-def folder(path: str) -> Path:
-    """Make the folder for results.
+def check_folder(path: str) -> None:
+    """Refuse a folder for results that could not be written to, before there are any; makes nothing.
+
+    Raises:
+        FileError: it is no folder, or may not be written to.
+    """
+    place = Path(path).absolute()
+    existing = next(above for above in (place, *place.parents) if os.path.lexists(above))
+    if not existing.is_dir():
+        refuse(path, "a folder that can be written", f"{existing.name}, which is none", error=FileError)
+    # some file systems, such as /proc, allow nothing although the permissions would
+    if not os.access(existing, os.W_OK | os.X_OK) or os.statvfs(existing).f_blocks == 0:
+        refuse(path, "a folder that can be written", f"{existing}, which cannot", error=FileError)
+
+
+def made_folder(path: str) -> Path:
+    """Return the folder for results, made where it is missing.
 
     Raises:
         FileError: it cannot be made.
@@ -116,7 +132,7 @@ def folder(path: str) -> Path:
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as reason:
-        refuse(str(path), "a folder that can be written", reason.strerror or str(reason), error=FileError)
+        refuse(path, "a folder that can be written", reason.strerror or str(reason), error=FileError)
     return place
 
 

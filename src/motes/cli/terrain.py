@@ -32,6 +32,7 @@ def fly(flight: scenario.Flight, filters: Mapping[str, Filter], seed: int, setti
         MotesError: a filter does not fit, collapsed, or a file cannot be written.
     """
     new_figure(1, 1)  # where matplotlib is missing, say so before the work and not after it
+    running.check_folder(out)
     outcomes = running.race(seed, filters, flight.model, flight.ys, flight.inputs)
     scores = {name: scenario.score(outcome.history, flight) for name, outcome in outcomes.items()}
     found = {name: running.results(outcome) | _told(scores[name]) for name, outcome in outcomes.items()}
@@ -43,7 +44,7 @@ def fly(flight: scenario.Flight, filters: Mapping[str, Filter], seed: int, setti
         for name, outcome in outcomes.items()
     ]
     running.show(f"{flight.ys.shape[0]} fixes over {flight.seconds[-1]:.0f} s; horizontal errors", head, rows)
-    folder = running.folder(out)
+    folder = running.made_folder(out)
     for name, outcome in outcomes.items():
         outcome.history.save(folder / f"{name}.nc")
     for name, figure in _pictures(flight, outcomes).items():

@@ -47,7 +47,7 @@ def history_figure(history: History, truth: Any = None) -> Any:
         axes.set_title("effective sample size", fontsize=10)
     for axes in figure.axes:
         axes.set_xlim(steps[0], max(steps[-1], steps[0] + 1))
-    figure.supxlabel("step", fontsize=10)
+    figure.axes[-1].set_xlabel("step")
     return figure
 
 

@@ -120,7 +120,7 @@ def error_figure(seconds: np.ndarray, errors: Mapping[str, np.ndarray], deviatio
     axes.axhline(lost, color="0.35", linewidth=1.0, linestyle="--", label=f"lost above {lost:.0f} m")
     lowest = min(float(np.min(error[error > 0], initial=lost)) for error in errors.values())
     highest = max(float(np.max(error)) for error in errors.values())
-    axes.set(yscale="log", ylim=(max(lowest / 1.5, 1.0), max(2 * highest, 2 * lost)), xlim=(seconds[0], seconds[-1]),
+    axes.set(yscale="log", ylim=(max(lowest / 1.5, 1.0), max(2 * highest, 2 * lost)), xlim=(seconds[0], max(seconds[-1], seconds[0] + 1)),
              xlabel="time, s", ylabel="horizontal error, m", title=title)
     axes.yaxis.set_major_formatter(need("matplotlib.ticker", "results").FuncFormatter(lambda value, _: f"{value:g}"))
     legend_below(figure, axes, 3)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.terrain_navigation.settings import Noises, Prior
+from motes.applications.terrain_navigation.settings import NOISES, PRIOR, Noises, Prior
 from motes.core import checks
 from motes.core.record import record, values
 from motes.laws.conditional import AdditiveGaussian, LinearGaussian
@@ -138,7 +138,7 @@ def process_cov(step: Any, position: float, velocity: float, acceleration: float
     return jnp.kron(along, jnp.eye(3))
 
 
-def error_model(terrain: TerrainMap, noises: Noises = Noises(), prior: Prior = Prior(), step: float | None = 0.3) -> StateSpaceModel:
+def error_model(terrain: TerrainMap, noises: Noises = NOISES, prior: Prior = PRIOR, step: float | None = 0.3) -> StateSpaceModel:
     """Return the model of the inertial errors; its inputs are a `Track`.
 
     Args:

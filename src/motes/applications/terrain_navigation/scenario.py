@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.terrain_navigation.model import Track, corrected, error_model
-from motes.applications.terrain_navigation.settings import ROUTES, MapFiles, Noises, Prior, Recording, Route
+from motes.applications.terrain_navigation.settings import FIRST, NOISES, PRIOR, MapFiles, Noises, Prior, Recording, Route
 from motes.core import checks
 from motes.core.record import record, replace
 from motes.core.types import KeyLike
@@ -63,7 +63,7 @@ class Score(NamedTuple):
 
 
 def simulated(
-    key: KeyLike, terrain: TerrainMap | None = None, route: Route = ROUTES["first"], noises: Noises = Noises(), prior: Prior = Prior()
+    key: KeyLike, terrain: TerrainMap | None = None, route: Route = FIRST, noises: Noises = NOISES, prior: Prior = PRIOR
 ) -> Flight:
     """Fly a route with inertial errors drawn from the model's own law.
 
@@ -111,7 +111,7 @@ def load_map(files: MapFiles) -> TerrainMap:
     return terrain_map(mosaic([read_raster(file, nodata=files.nodata) for file in files.files]))
 
 
-def load(files: MapFiles, recording: Recording, noises: Noises = Noises(), prior: Prior = Prior()) -> Flight:
+def load(files: MapFiles, recording: Recording, noises: Noises = NOISES, prior: Prior = PRIOR) -> Flight:
     """Load a recorded flight.
 
     Args:

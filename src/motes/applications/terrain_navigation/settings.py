@@ -42,6 +42,9 @@ class Prior:
     vertical_acceleration: float = 0.01
 
 
+NOISES, PRIOR = Noises(), Prior()
+
+
 @dataclass(frozen=True)
 class MapFiles:
     """The map.
@@ -102,5 +105,6 @@ class Route:
     fixes: int = 400
 
 
-ROUTES = {"first": Route(), "second": Route(north=9000.0, east=2500.0, heading=60.0)}
+FIRST = Route()
+ROUTES = {"first": FIRST, "second": Route(north=9000.0, east=2500.0, heading=60.0)}
 """Two flights over the map that matplotlib ships."""
