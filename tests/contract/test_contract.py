@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from discovery import example, examples, filter_classes
-from models import linear
 
 import motes as mo
+from models import linear
 from motes.core import random, record
 from motes.filters.run import Engine
 
@@ -22,7 +22,7 @@ def each_filter():
 
 
 def data(model, steps=STEPS, seed=5):
-    return np.asarray(mo.simulate(seed, model, steps)[1])
+    return np.array(mo.simulate(seed, model, steps)[1])
 
 
 def same_bits(a, b):
@@ -62,10 +62,10 @@ def test_law_answers(filter, precision):
     assert np.allclose(np.cov(points), np.asarray(state.cov()), atol=0.05 * spread.max() ** 2)
 
 
-@each_filter()
+@pytest.mark.parametrize("filter", [example(cls) for cls in filter_classes().values()], ids=filter_classes().keys())
 def test_eager_equals_jitted(filter, double):
     model = linear()
-    ys = data(model, 3)
+    ys = data(model, 2)
     history = mo.run(7, filter, model, ys)
     engine = Engine(random.as_key(7), filter, model)
     with jax.disable_jit():
@@ -287,7 +287,8 @@ def test_smallest_sizes(cls):
         history = mo.run(0, filter, linear(range(3)), ys)
         assert np.isfinite(np.asarray(history.mean)).all()
         assert mo.run(0, filter, linear(range(3)), ys[:1]).mean.shape == (1, 2)
-    scalar = mo.StateSpaceModel(mo.Gaussian([0.5], [[1.0]]), mo.LinearGaussian([[0.9]], [[0.5]]), mo.LinearGaussian([[1.0], [0.5]], jnp.eye(2)))
+    sensor = mo.LinearGaussian([[1.0], [0.5]], jnp.eye(2))
+    scalar = mo.StateSpaceModel(mo.Gaussian([0.5], [[1.0]]), mo.LinearGaussian([[0.9]], [[0.5]]), sensor)
     grid = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,)} if "nodes" in cls.__dataclass_fields__ else {}
     assert mo.run(0, example(cls, **grid), scalar, np.ones((3, 2))).mean.shape == (3, 1)
 

@@ -16,7 +16,7 @@ def cases():
 
     def plain(n):
         return dict(fn=0.7 * n + 0.5 * np.sin(n), An=0.6 * one(n), Qn=0.4 * one(n), fl=0.3 * n, Al=0.8 * one(n), Ql=0.3 * one(n),
-                    Qnl=0 * n, h=n**2 / 4, C=0 * n, R=0.5 * one(n))
+                    Qnl=0 * n, h=2 * np.sin(n / 2) + 0.1 * n**2, C=0 * n, R=0.5 * one(n))
 
     def all_dependent(n):
         return plain(n) | dict(An=0.5 + 0.3 * np.cos(n), Al=0.6 + 0.3 * np.sin(2 * n), Qn=0.3 + 0.1 * np.sin(n) ** 2,
@@ -82,28 +82,28 @@ def grid_answer(parts, ys, size=161, reach=6.5):
     """Posterior means, variances and the likelihood by summing over a grid of both states."""
     axis = np.linspace(-reach, reach, size)
     area = (axis[1] - axis[0]) ** 2
-    n, l = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
+    n, k = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
     p = {name: np.broadcast_to(value, n.shape) for name, value in parts(n).items()}
 
     def normal2(dn, dl, a, b, c):
         det = a * c - b * b
         return np.exp(-0.5 * (c * dn * dn - 2 * b * dn * dl + a * dl * dl) / det) / (2 * np.pi * np.sqrt(det))
 
-    density = normal2(n - 0.4, l + 0.3, 0.8, 0.3, 0.9)
-    centre_n, centre_l = p["fn"] + p["An"] * l, p["fl"] + p["Al"] * l
+    density = normal2(n - 0.4, k + 0.3, 0.8, 0.3, 0.9)
+    centre_n, centre_l = p["fn"] + p["An"] * k, p["fl"] + p["Al"] * k
     total, means, variances = 0.0, [], []
     for t, y in enumerate(ys[:, 0]):
         if t:
             density = _moved(density * area, axis, centre_n, centre_l, p, normal2)
         if not np.isnan(y):
-            density = density * np.exp(-0.5 * (y - p["h"] - p["C"] * l) ** 2 / p["R"]) / np.sqrt(2 * np.pi * p["R"])
+            density = density * np.exp(-0.5 * (y - p["h"] - p["C"] * k) ** 2 / p["R"]) / np.sqrt(2 * np.pi * p["R"])
             mass = density.sum() * area
             total += np.log(mass)
             density = density / mass
         weight = density * area
-        mean = np.array([weight @ n, weight @ l])
+        mean = np.array([weight @ n, weight @ k])
         means.append(mean)
-        variances.append(np.array([weight @ n**2, weight @ l**2]) - mean**2)
+        variances.append(np.array([weight @ n**2, weight @ k**2]) - mean**2)
     return np.array(means), np.array(variances), total
 
 
@@ -130,7 +130,7 @@ def answers():
         found = {}
         for name, parts in cases().items():
             model = library_model(parts)
-            ys = np.array(mo.simulate(21, model, STEPS)[1])
+            ys = np.array(mo.simulate(22, model, STEPS)[1])
             ys[3] = np.nan
             found[name] = (model, ys, grid_answer(parts, ys))
         return found

@@ -11,8 +11,9 @@ def normalize(log_weights: LogWeights) -> tuple[LogWeights, Scalar]:
     """Return normalized log weights and the log of their former sum (minus infinity, and NaN weights, when all vanish)."""
     top = jnp.max(log_weights)
     anchor = jnp.where(jnp.isfinite(top), top, 0)
-    total = anchor + jnp.log(jnp.sum(jnp.exp(log_weights - anchor)))
-    return log_weights - total, total
+    log_sum = jnp.log(jnp.sum(jnp.exp(log_weights - anchor)))
+    # the anchor goes first: a large common offset would round the small differences away
+    return (log_weights - anchor) - log_sum, anchor + log_sum
 
 
 def uniform_weights(n: int, dtype: jnp.dtype) -> LogWeights:

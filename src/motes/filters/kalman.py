@@ -30,7 +30,8 @@ class KalmanFilter(TwoStageFilter):
         found = structure(model, u)
         if len(found.linear) < model.size:
             name, reason = found.reasons[0]
-            checks.refuse("KalmanFilter model", "a linear-Gaussian model", f"{name}: {reason}", "Use ExtendedKalmanFilter or a particle filter.")
+            hint = "Use ExtendedKalmanFilter or a particle filter."
+            checks.refuse("KalmanFilter model", "a linear-Gaussian model", f"{name}: {reason}", hint)
         return model
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Gaussian:

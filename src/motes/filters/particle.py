@@ -26,7 +26,7 @@ class ParticleFilter(TwoStageFilter):
 
     Attributes:
         n: number of particles.
-        proposal: law of x_t given x_{t-1} and y_t, as a conditional whose functions get the pair `(u, y)` for inputs; None for the dynamics.
+        proposal: law of x_t given x_{t-1} and y_t: a conditional whose functions get the pair `(u, y)` for inputs; None for the dynamics.
         scheme: how ancestors are drawn.
         policy: when to resample, at the start of a step.
     """

@@ -104,7 +104,8 @@ class Stream:
     def _checked(self, y: Any) -> jax.Array:
         y = jnp.atleast_1d(jnp.asarray(y, self.model.dtype))
         if self._carry is None:
-            return checked_measurements(self.filter, self.model, y[None], jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], self._inputs))[0]
+            inputs = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], self._inputs)
+            return checked_measurements(self.filter, self.model, y[None], inputs)[0]
         checks.shape("y", y, self._carry.y.shape, "(as the first one)")
         if np.isinf(np.asarray(y)).any():
             checks.refuse("y", "finite numbers, or NaN for what was not measured", np.asarray(y).tolist())
@@ -177,7 +178,8 @@ class Stream:
         tree, texts = archive.read_tree(Path(path), kind="checkpoint")
         for name, own in (("filter", repr(filter)), ("names", list(model.names))):
             if texts[name] != own:
-                checks.refuse(f"{path}: {name}", str(own), str(texts[name]), "Give the filter and model it was saved with.", checks.FileError)
+                hint = "Give the filter and model it was saved with."
+                checks.refuse(f"{path}: {name}", str(own), str(texts[name]), hint, checks.FileError)
         stream = cls(jax.random.wrap_key_data(jnp.asarray(tree["key"], jnp.uint32)), filter, model)
         y = jnp.asarray(tree["carry"]["y"], model.dtype)
         u = tree["carry"].get("u") if inputs is None else inputs

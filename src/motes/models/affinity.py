@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
 
 from motes.core import checks
 from motes.models.affinity_rules import apply
@@ -33,7 +34,7 @@ KINDS = ("elements", "whole", "fixed")
 UNROLL_LIMIT = 64  # steps; longer loops are summed up by a fixed point
 LARGE = 10_000_000  # marks of pairs; arrays that would need more are treated as a whole
 
-_CALLS = ("jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint")
+_CALLS = ("jit", "closed_call", "call", "remat", "remat2", "checkpoint")
 _CUSTOM_DERIVATIVES = ("custom_jvp_call", "custom_vjp_call")
 
 
@@ -80,8 +81,8 @@ def dependence(function: Callable[..., Any], args: Sequence[Any], kinds: Sequenc
             is one variable, even if it has no array), "fixed" (constant, but not known now).
 
     Returns:
-        A pytree like the output of the function, with a `Dependence` in the place of each array. Its fields may be
-        read-only.
+        A pytree like the output of the function, with a `Dependence` (itself a tuple of two arrays, which may be
+        read-only) in the place of each array.
     """
     ranges = variables(args, kinds)
     count = sum(map(len, ranges))
@@ -99,7 +100,8 @@ def _places(arg: Any, numbers: range, kind: str) -> list[np.ndarray]:
         return [np.full(np.size(leaf), numbers.start) for leaf in leaves]
     if kind == "fixed":
         return [np.zeros(0, int) for _ in leaves]
-    return np.split(np.arange(numbers.start, numbers.stop), np.cumsum([np.size(leaf) for leaf in leaves])[:-1])
+    ends = numbers.start + np.cumsum([np.size(leaf) for leaf in leaves], dtype=int)
+    return [np.arange(end - np.size(leaf), end) for leaf, end in zip(leaves, ends, strict=True)]
 
 
 def _source(aval: Any, numbers: np.ndarray, count: int) -> Value:
@@ -113,7 +115,7 @@ def _source(aval: Any, numbers: np.ndarray, count: int) -> Value:
     if _is_large(aval.shape, count):
         marks = np.broadcast_to(marks.any(0), marks.shape)
     value = value._replace(uses=marks.reshape(*aval.shape, count))
-    return value if smooth else entangled(aval.shape, marks.any(0))
+    return value if smooth else entangled(aval.shape, any_element(marks, 1))
 
 
 def _is_large(shape: tuple[int, ...], count: int) -> bool:
@@ -126,7 +128,8 @@ def _is_large(shape: tuple[int, ...], count: int) -> bool:
 def _enter(program: Any, inputs: Sequence[Value], count: int) -> list[Value]:
     """Walk through a program, which may carry constants of its own, and return the values of its outputs."""
     jaxpr = getattr(program, "jaxpr", program)
-    constants = [_captured(array, count) for array in getattr(program, "consts", ())]
+    arrays = zip(jaxpr.constvars, getattr(program, "consts", ()), strict=True)
+    constants = [_captured(variable.aval, array, count) for variable, array in arrays]
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *inputs], strict=True))
 
     def read(atom: Any) -> Value:
@@ -140,9 +143,10 @@ def _enter(program: Any, inputs: Sequence[Value], count: int) -> list[Value]:
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _captured(array: Any, count: int) -> Value:
-    """Return a constant of the program; it is not known now if an outer trace is in progress and holds it."""
-    return constant(np.shape(array), count, array if checks.is_concrete(array) else None)
+def _captured(aval: Any, array: Any, count: int) -> Value:
+    """Return a constant of the program; it is not known now if an outer trace holds it or if it can be written to."""
+    known = checks.is_concrete(array) and isinstance(aval, ShapedArray)
+    return constant(aval.shape, count, array if known else None)
 
 
 def _step(equation: Any, operands: list[Value], count: int) -> list[Value]:
@@ -170,7 +174,7 @@ def _step(equation: Any, operands: list[Value], count: int) -> list[Value]:
 def _is_opaque(equation: Any) -> bool:
     """Tell whether an equation may read or write something else than its operands and outputs."""
     atoms = (*equation.invars, *equation.outvars)
-    return bool(equation.effects) or not all(isinstance(atom.aval, jax.core.ShapedArray) for atom in atoms)
+    return bool(equation.effects) or not all(isinstance(atom.aval, ShapedArray) for atom in atoms)
 
 
 def _computed(equation: Any, operands: Sequence[Value]) -> list[Any] | None:
@@ -269,7 +273,7 @@ def _same(left: Value, right: Value) -> bool:
 
 def _any_row(value: Value) -> Value:
     """Return what holds for every row of an array."""
-    return Value(*((field[:1] if field.strides[0] == 0 else field).any(0) for field in value[:3]))
+    return Value(*(np.asarray((field[:1] if field.strides[0] == 0 else field).any(0)) for field in value[:3]))
 
 
 def _repeat(value: Value, length: int) -> Value:
@@ -280,7 +284,8 @@ def _repeat(value: Value, length: int) -> Value:
 def _row(value: Value, step: int) -> Value:
     """Return one row of an array."""
     numeric = value.known is not None and not jnp.issubdtype(value.known.dtype, jax.dtypes.extended)
-    return Value(*(field[step] for field in value[:3]), np.asarray(value.known)[step] if numeric else None)
+    known = np.asarray(value.known)[step] if numeric else None
+    return Value(value.live[step], value.uses[step], value.pairs[step], known)
 
 
 def _stack(rows: Sequence[Value]) -> Value:

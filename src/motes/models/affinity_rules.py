@@ -72,7 +72,9 @@ _NONLINEAR = """
     ne nextafter not or polygamma pow reduce_precision rem round rsqrt shift_left shift_right_arithmetic
     shift_right_logical sign sin sinh sqrt square stop_gradient tan tanh xor
 """.split()
-_SUMS = "add add_any complex conj copy copy_p imag neg pvary real sharding_constraint sub".split()
+_SUMS = (
+    "add add_any complex conj copy imag layout_constraint name neg pvary real reshard sharding_constraint sub".split()
+)
 
 _ELEMENTWISE: dict[str, Rule] = {
     **dict.fromkeys(_NONLINEAR, _nonlinear),
@@ -144,11 +146,13 @@ def _pad(params: dict[str, Any], array: np.ndarray, padding: np.ndarray) -> np.n
 
 _MOVES: dict[str, Callable[..., np.ndarray]] = {
     "broadcast_in_dim": _broadcast,
+    "broadcast_to": lambda params, array: np.broadcast_to(array, params["shape"]),
     "concatenate": lambda params, *arrays: np.concatenate(arrays, params["dimension"]),
     "pad": _pad,
     "reshape": _reshape,
     "rev": lambda params, array: np.flip(array, params["dimensions"]),
     "slice": _slice,
+    "stack": lambda params, *arrays: np.stack(arrays, params["axis"]),
     "squeeze": lambda params, array: np.squeeze(array, tuple(params["dimensions"])),
     "tile": lambda params, array: np.tile(array, params["reps"]),
     "transpose": lambda params, array: array.transpose(params["permutation"]),
@@ -165,6 +169,11 @@ def _split(equation: Any, values: Sequence[Value]) -> list[Value]:
     return [_moved(values, part) for part in parts]
 
 
+def _unstack(equation: Any, values: Sequence[Value]) -> list[Value]:
+    (numbers,) = _numbered(values)
+    return [_moved(values, part) for part in np.moveaxis(numbers, equation.params["axis"], 0)]
+
+
 # ---- rules with an index, which may be known now, constant but unknown, or dependent ----
 
 
@@ -176,16 +185,16 @@ def _window(starts: Sequence[Value], shape: tuple[int, ...], sizes: tuple[int, .
     return tuple(slice(start, start + size) for start, size in zip(first, sizes, strict=True))
 
 
-def _anywhere(operand: Value, index: Sequence[Value], shape: tuple[int, ...]) -> Value:
-    """Return an array of elements of the operand that an index which is not known picks out."""
-    return decided(spread(summary(operand), shape), summary(union([summary(part) for part in index])).uses)
+def _used(index: Sequence[Value]) -> np.ndarray:
+    """Return the variables that an index uses, `(m,)`."""
+    return any_element(union([summary(part) for part in index]).uses, 1)
 
 
 def _dynamic_slice(equation: Any, values: Sequence[Value]) -> Value:
     operand, *starts = values
     window = _window(starts, operand.live.shape, equation.params["slice_sizes"])
     if window is None:
-        return _anywhere(operand, starts, equation.outvars[0].aval.shape)
+        return decided(spread(summary(operand), equation.outvars[0].aval.shape), _used(starts))
     return _moved([operand], _numbered([operand])[0][window])
 
 
@@ -193,7 +202,7 @@ def _dynamic_update_slice(equation: Any, values: Sequence[Value]) -> Value:
     operand, update, *starts = values
     window = _window(starts, operand.live.shape, update.live.shape)
     if window is None:
-        return union([operand, _anywhere(update, starts, operand.live.shape)])
+        return decided(union([operand, spread(summary(update), operand.live.shape)]), _used(starts))
     numbers, new = _numbered([operand, update])
     numbers[window] = new
     return _moved([operand, update], numbers)
@@ -203,7 +212,7 @@ def _gather(equation: Any, values: Sequence[Value]) -> Value:
     operand, index = values
     params = equation.params
     if index.known is None:
-        return _anywhere(operand, [index], equation.outvars[0].aval.shape)
+        return decided(spread(summary(operand), equation.outvars[0].aval.shape), _used([index]))
     (numbers,) = _numbered([operand])
     with jax.ensure_compile_time_eval():
         dimensions, sizes, mode = params["dimension_numbers"], params["slice_sizes"], params["mode"]
@@ -213,20 +222,27 @@ def _gather(equation: Any, values: Sequence[Value]) -> Value:
 
 def _scatter(equation: Any, values: Sequence[Value]) -> Value:
     operand, index, updates = values
-    shape, params = operand.live.shape, equation.params
-    replaces = equation.primitive.name == "scatter"
-    if replaces and params["update_jaxpr"] is not None:  # the old elements pass through a function of the user
+    shape, params, name = operand.live.shape, equation.params, equation.primitive.name
+    if name == "scatter" and params["update_jaxpr"] is not None:  # the old elements pass through a function of the user
         return spread(nonlinear([summary(value) for value in values]), shape)
     if index.known is None:
-        return union([operand, _anywhere(updates, [index], shape)])
+        product = nonlinear([summary(updates)])  # of any number of updates
+        landed = spread(product if name == "scatter-mul" else summary(updates), shape)
+        return decided(multiply(operand, landed) if name == "scatter-mul" else union([operand, landed]), _used([index]))
     (numbers,) = _numbered([updates])
     with jax.ensure_compile_time_eval():
         dimensions, mode = params["dimension_numbers"], params["mode"]
         source = lax.scatter(np.full(shape, -1, np.int32), index.known, numbers, dimensions, mode=mode)
         hits = lax.scatter_add(np.zeros(shape, np.int32), index.known, np.ones_like(numbers), dimensions, mode=mode)
         source, hits = np.asarray(source), np.asarray(hits)
-    landed = spread(summary(updates), shape) if (hits > 1).any() else _moved([updates], source)
-    return union([masked(operand, hits == 0) if replaces else operand, masked(landed, hits > 0)])
+    if (hits > 1).any():
+        landed = spread(nonlinear([summary(updates)]) if name == "scatter-mul" else summary(updates), shape)
+    else:
+        landed = _moved([updates], source)
+    landed = masked(landed, hits > 0)
+    if name == "scatter-mul":
+        return multiply(operand, landed._replace(live=landed.live | (hits == 0)))
+    return union([masked(operand, hits == 0) if name == "scatter" else operand, landed])
 
 
 # ---- sums of many elements ----
@@ -235,7 +251,11 @@ def _scatter(equation: Any, values: Sequence[Value]) -> Value:
 def _reduce_sum(equation: Any, values: Sequence[Value]) -> Value:
     (value,) = values
     axes = tuple(equation.params["axes"])
-    return make(value.live.any(axes), value.uses.any(axes), value.pairs.any(axes))
+    return make(*(np.asarray(field.any(axes)) for field in value[:3]))
+
+
+def _reduce(equation: Any, values: Sequence[Value]) -> Value:
+    return nonlinear([_reduce_sum(equation, values)])
 
 
 def _cumulative_sum(equation: Any, values: Sequence[Value]) -> Value:
@@ -292,7 +312,8 @@ def _dot_general(equation: Any, values: Sequence[Value]) -> Value:
 _PRECISE: dict[str, Rule] = {
     **_ELEMENTWISE,
     **dict.fromkeys(_MOVES, _move),
-    **dict.fromkeys(("scatter", "scatter-add", "scatter-sub"), _scatter),
+    **dict.fromkeys(("reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod"), _reduce),
+    **dict.fromkeys(("scatter", "scatter-add", "scatter-mul", "scatter-sub"), _scatter),
     "cumsum": _cumulative_sum,
     "dot_general": _dot_general,
     "dynamic_slice": _dynamic_slice,
@@ -300,10 +321,11 @@ _PRECISE: dict[str, Rule] = {
     "gather": _gather,
     "reduce_sum": _reduce_sum,
 }
-# without a precise rule, or with large arrays: what holds for all elements of all outputs, from summaries of the operands
+_SEVERAL = {"device_put": lambda equation, values: list(values), "split": _split, "unstack": _unstack}
+# without a precise rule, or with large arrays: what holds for all elements of all outputs, from summaries of operands
 _COARSE: dict[str, Rule] = {
     **_ELEMENTWISE,
-    **dict.fromkeys((*_MOVES, "cumsum", "fft", "reduce_sum", "reduce_window_sum", "split"), _union),
+    **dict.fromkeys((*_MOVES, *_SEVERAL, "cumsum", "fft", "reduce_sum", "reduce_window_sum"), _union),
     **dict.fromkeys(("conv_general_dilated", "dot_general"), _product),
     "triangular_solve": lambda equation, values: divide(values[1], values[0]),
 }
@@ -312,8 +334,8 @@ _COARSE: dict[str, Rule] = {
 def apply(equation: Any, values: Sequence[Value], large: bool) -> list[Value]:
     """Return the outputs of one equation; `large` ones are treated as a whole, not element by element."""
     name = equation.primitive.name
-    if name == "split" and not large:
-        return _split(equation, values)
+    if name in _SEVERAL and not large:
+        return _SEVERAL[name](equation, values)
     if name in _PRECISE and not large:
         return [_PRECISE[name](equation, values)]
     rule = _COARSE.get(name, _nonlinear)

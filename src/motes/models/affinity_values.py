@@ -44,7 +44,7 @@ def constant(shape: tuple[int, ...], count: int, known: Any = None) -> Value:
 
 def entangled(shape: tuple[int, ...], uses: np.ndarray) -> Value:
     """Return an array of the given shape, all elements of which are nonlinear in the variables `uses`, `(m,)`."""
-    return spread(make(np.True_, uses, cross(uses, uses)), shape)
+    return spread(make(np.array(True), uses, cross(uses, uses)), shape)
 
 
 def spread(value: Value, shape: tuple[int, ...]) -> Value:
@@ -56,7 +56,7 @@ def spread(value: Value, shape: tuple[int, ...]) -> Value:
 
 def summary(value: Value) -> Value:
     """Return a value of shape () that holds for every element of the given one; its numbers are forgotten."""
-    return make(np.True_, any_element(value.uses, 1), any_element(value.pairs, 2))
+    return make(np.array(True), any_element(value.uses, 1), any_element(value.pairs, 2))
 
 
 def union(values: Sequence[Value]) -> Value:
@@ -106,7 +106,7 @@ def any_element(array: np.ndarray, keep: int) -> np.ndarray:
     """Return the union over all axes but the last `keep`; axes that only repeat (a stride of zero) are not walked."""
     lead = array.ndim - keep
     once = tuple(slice(0, 1) if stride == 0 else slice(None) for stride in array.strides[:lead])
-    return array[once].any(axis=tuple(range(lead)))
+    return np.asarray(array[once].any(axis=tuple(range(lead))))
 
 
 def masked(value: Value, here: np.ndarray) -> Value:

@@ -56,8 +56,11 @@ def boundaries(log_weights: jax.Array, n: int) -> Boundaries:
     carried = jnp.cumsum(before_whole.astype(jnp.int32)) - before_whole.astype(jnp.int32)
     part = within + (jnp.cumsum(before_part) - before_part)[:, None]
     whole = jnp.cumsum(floors.astype(jnp.int32)) + jnp.repeat(carried, _BLOCK, total_repeat_length=blocks * _BLOCK)[:count]
-    last = jnp.max(jnp.where(weights > 0, jnp.arange(count, dtype=jnp.int32), 0))
-    return Boundaries(whole, part.reshape(-1)[:count], last)
+    part = part.reshape(-1)[:count]
+    # rounding of n w leaves the sum a little off n: spread in proportion, or the last particle would get it all
+    missing = (n - whole[-1]) - part[-1]
+    part = part + missing * ((whole + part) / (whole[-1] + part[-1]))
+    return Boundaries(whole, part, _last(weights))
 
 
 def ancestors_from_ends(ends: jax.Array, n: int, last: jax.Array) -> jax.Array:
