@@ -125,6 +125,19 @@ def test_voids_tell_nothing(terrain):
     assert np.isfinite(np.asarray(history.mean)).all() and not np.asarray(history.info.invalid).any()
 
 
+def test_voids_out_of_reach_cost_nothing(terrain):
+    heights = np.asarray(terrain.heights).copy()
+    heights[300:310, 10:20] = np.nan
+    far = TerrainMap(jnp.asarray(heights), terrain.dn, terrain.de)
+    # a route in the south-east: the void lies in the north-west
+    route = replace(FIRST, north=3000.0, east=22000.0, fixes=40)
+    flown = scenario.simulated(0, far, route)
+    assert mo.structure(flown.model, step_of(flown.inputs)).covariance == "shared"
+    assert np.isnan(np.asarray(flown.terrain.heights)).any()
+    near = scenario.simulated(0, far, replace(route, north=26000.0, east=3000.0, heading=0.0))
+    assert mo.structure(near.model, step_of(near.inputs)).covariance == "per-particle"
+
+
 def test_a_flight_finds_its_way(flight):
     history = mo.run(3, mo.MarginalizedParticleFilter(n=4000), flight.model, flight.ys, flight.inputs)
     found = scenario.score(history, flight)

@@ -1,5 +1,6 @@
 """The filter that a user names, as settings and as a record."""
 
+import importlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -8,7 +9,11 @@ from motes.cli.options import refuse
 if TYPE_CHECKING:
     from motes.filters.interface import Filter
 
-KINDS = {"marginalized": "MarginalizedParticleFilter", "particle": "ParticleFilter"}
+KINDS = {
+    "marginalized": ("motes.filters.marginalized", "MarginalizedParticleFilter"),
+    "particle": ("motes.filters.particle", "ParticleFilter"),
+}
+"""Word for a filter to its module and record; imported when asked for, since that brings JAX."""
 POLICIES = {"ess": "ESS", "entropy": "Entropy", "always": "Always", "never": "Never"}
 MOST = 50_000_000
 """More particles than any machine that this runs on holds; a slip of the keyboard should not exhaust its memory."""
@@ -39,8 +44,6 @@ def build(choice: FilterChoice) -> "Filter":
     Raises:
         MotesError: a word is unknown, or a number cannot be used.
     """
-    import motes
-
     for name, given, known in (("kind", choice.kind, KINDS), ("policy", choice.policy, POLICIES)):
         if given not in known:
             refuse(f"filter {name}", "one of " + ", ".join(map(repr, known)), repr(given))
@@ -54,4 +57,6 @@ def build(choice: FilterChoice) -> "Filter":
     if choice.threshold is not None and choice.policy not in ("ess", "entropy"):
         refuse("filter threshold", f"none with the policy {choice.policy!r}", choice.threshold)
     limits = () if choice.threshold is None else (choice.threshold,)
-    return getattr(motes, KINDS[choice.kind])(n=choice.n, policy=getattr(motes, POLICIES[choice.policy])(*limits), **options)
+    policy = getattr(importlib.import_module("motes.resampling.policy"), POLICIES[choice.policy])(*limits)
+    module, record = KINDS[choice.kind]
+    return getattr(importlib.import_module(module), record)(n=choice.n, policy=policy, **options)

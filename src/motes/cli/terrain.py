@@ -9,8 +9,8 @@ import numpy as np
 from motes.applications.terrain_navigation import scenario
 from motes.applications.terrain_navigation.model import corrected
 from motes.cli import running
+from motes.core import checks
 from motes.filters.interface import Filter
-from motes.plotting.figures import new_figure
 from motes.plotting.plot import plot
 from motes.plotting.terrain import Tracks, error_figure, map_figure
 
@@ -31,7 +31,8 @@ def fly(flight: scenario.Flight, filters: Mapping[str, Filter], seed: int, setti
     Raises:
         MotesError: a filter does not fit, collapsed, or a file cannot be written.
     """
-    new_figure(1, 1)  # where matplotlib is missing, say so before the work and not after it
+    for module in ("matplotlib.figure", "xarray", "h5netcdf"):
+        checks.need(module, "results")  # where one is missing, say so before the work and not after it
     running.check_folder(out)
     outcomes = running.race(seed, filters, flight.model, flight.ys, flight.inputs)
     scores = {name: scenario.score(outcome.history, flight) for name, outcome in outcomes.items()}

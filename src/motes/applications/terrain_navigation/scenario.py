@@ -21,6 +21,9 @@ from motes.models.terrain import TerrainMap, terrain_map
 
 LOST = 150.0
 """A run whose final horizontal error exceeds this many meters is lost."""
+REACH = 5.0
+"""Standard deviations of the inertial position within which voids of the map count."""
+SEGMENTS = 50
 EVEN = 1e-3
 """Fixes whose spacing varies by less than this share of it count as evenly spaced."""
 
@@ -87,9 +90,10 @@ def simulated(
     altitude = np.full_like(north, float(np.nanmax(np.asarray(terrain.heights))) + route.clearance)
     check_covered(terrain, north, east, "the flight")
     truth = Track(*(jnp.asarray(part, model.dtype) for part in (north, east, altitude)))
-    # the errors do not depend on the inputs, so drawing twice with one key gives the same errors, then the fixes that belong to them
+    # the errors depend neither on inputs nor on voids, so drawing twice with one key gives them, then the fixes that belong to them
     errors, _ = simulate(key, model, route.fixes, truth)
     inertial = Track(*corrected(truth, -errors))
+    model = error_model(without_far_voids(terrain, inertial, seconds, noises, prior), noises, prior, route.step)
     errors, ys = simulate(key, model, route.fixes, inertial)
     return Flight(model, terrain, ys, inertial, seconds, jnp.stack([truth.north, truth.east], axis=1), errors)
 
@@ -139,12 +143,13 @@ def load(files: MapFiles, recording: Recording, noises: Noises = NOISES, prior: 
     step, since = _spacing(seconds, recording.step)
     north, east = _local(terrain, recording, table, recording.inertial)
     check_covered(terrain, north, east, f"the inertial track in {name}")
-    model = error_model(terrain, noises, prior, step)
-    inertial = Track(*(jnp.asarray(part, model.dtype) for part in (north, east, table[recording.inertial[2]])))
+    dtype = terrain.heights.dtype
+    inertial = Track(*(jnp.asarray(part, dtype) for part in (north, east, table[recording.inertial[2]])))
     if since is not None:
-        inertial = replace(inertial, since=jnp.asarray(since, model.dtype))
-    truth = jnp.asarray(np.stack(_local(terrain, recording, table, recording.truth), axis=1), model.dtype) if recording.truth else None
-    return Flight(model, terrain, jnp.asarray(table[recording.height][:, None], model.dtype), inertial, seconds, truth)
+        inertial = replace(inertial, since=jnp.asarray(since, dtype))
+    model = error_model(without_far_voids(terrain, inertial, seconds, noises, prior), noises, prior, step)
+    truth = jnp.asarray(np.stack(_local(terrain, recording, table, recording.truth), axis=1), dtype) if recording.truth else None
+    return Flight(model, terrain, jnp.asarray(table[recording.height][:, None], dtype), inertial, seconds, truth)
 
 
 def _check_recording(recording: Recording) -> None:
@@ -174,6 +179,36 @@ def _spacing(seconds: np.ndarray, otherwise: float) -> tuple[float | None, np.nd
     if np.abs(steps - usual).max() <= EVEN * usual:
         return float(steps.mean()), None
     return None, np.concatenate([[usual], steps])
+
+
+def without_far_voids(terrain: TerrainMap, inertial: Track, seconds: np.ndarray, noises: Noises, prior: Prior) -> TerrainMap:
+    """Return the map with the mean height in voids that no particle comes near.
+
+    Voids within reach make the altimeter's variance differ between particles, so that each needs its own covariance, which takes many
+    times as long; a void at the other end of the map should not cost that.
+
+    Args:
+        terrain: the map.
+        inertial: the inertial track, `(t,)`.
+        seconds: time of each fix, `(t,)`.
+        noises: standard deviations of process and altimeter.
+        prior: standard deviations at the first fix.
+    """
+    heights = np.asarray(terrain.heights)
+    if not np.isnan(heights).any():
+        return terrain
+    growth = (prior.horizontal_position, prior.horizontal_velocity * seconds, prior.horizontal_acceleration * seconds**2 / 2,
+              noises.position * np.sqrt(seconds))
+    reach = REACH * np.sqrt(sum(np.square(part) for part in growth))
+    near = np.zeros(heights.shape, bool)
+    for part in np.array_split(np.arange(seconds.size), min(SEGMENTS, seconds.size)):
+        sides = []
+        for along, spacing in ((inertial.north, terrain.dn), (inertial.east, terrain.de)):
+            cells = np.asarray(along)[part] / spacing
+            around = reach[part].max() / spacing
+            sides.append(slice(max(int(cells.min() - around), 0), max(int(cells.max() + around) + 2, 0)))
+        near[tuple(sides)] = True
+    return replace(terrain, heights=jnp.where(near, terrain.heights, jnp.nan_to_num(terrain.heights, nan=np.nanmean(heights))))
 
 
 def check_covered(terrain: TerrainMap, north: np.ndarray, east: np.ndarray, what: str) -> None:
