@@ -101,6 +101,8 @@ def test_run_without_truth_on_parquet(folder, capsys):
     ('policy = "ess"', 'policy = "sometimes"', ("filter policy", "'sometimes'")),
     ("seed = 0", "seed = -4", ("seed", "-4")),
     ("altimeter = 15.0", "altimeter = nan", ("altimeter", "nan")),
+    ("altimeter = 15.0", "altimeter = 1e-30", ("altimeter", "1e-30")),
+    ("altimeter = 15.0", "altimeter = 1e30", ("altimeter", "1e+30")),
     ("altimeter = 15.0", 'altimeter = "15"', ("[noises] altimeter", "a number")),
     ('"flight.csv"', '"none.csv"', ("none.csv",)),
     ('"flight.csv"', '"terrain.toml"', ("terrain.toml",)),
@@ -171,6 +173,23 @@ def test_interruption(monkeypatch, capsys):
     monkeypatch.setattr("motes.cli.doctor.main", interrupted)
     assert main(["doctor"]) == 130
     assert capsys.readouterr().err == "motes doctor: interrupted\n"
+
+
+@pytest.mark.parametrize(("error", "words"), [
+    (MemoryError(), ("memory", "fewer particles")),
+    (RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes."), ("memory", "fewer particles")),
+    (RuntimeError("Unable to initialize backend 'moon'"), ("device", "'moon'")),
+])
+def test_machines_that_cannot_are_told_in_one_line(monkeypatch, capsys, error, words):
+    def failing(arguments):
+        raise error
+
+    monkeypatch.setattr("motes.cli.doctor.main", failing)
+    refused(capsys, ["doctor"], *words)
+    error.args = ("a fault of ours",)
+    if not isinstance(error, MemoryError):
+        with pytest.raises(RuntimeError):
+            main(["doctor"])
 
 
 def test_cache_that_others_can_use_is_made_private(tmp_path, monkeypatch):

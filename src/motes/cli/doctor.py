@@ -32,13 +32,21 @@ def report() -> Iterator[tuple[str, str]]:
     yield "python", f"{platform.python_version()} ({sys.executable})"
     yield "system", f"{platform.system()} {platform.release()} {platform.machine()}"
     yield "processors", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
-    devices = ", ".join(f"{device.platform} {device.device_kind}" for device in jax.devices())
-    yield "devices", devices
+    yield "devices", _devices()
     yield "precision", "float64" if jax.config.jax_enable_x64 else "float32 (set JAX_ENABLE_X64=1 for float64)"
     place = compiled.private_folder()
     yield "compiled", str(place) if place else f"not kept: {compiled.folder()} cannot be used"
     for package, extra in sorted(packages().items()):
         yield package, _version(package) or f"not installed (pip install 'motes[{extra}]')"
+
+
+def _devices() -> str:
+    import jax
+
+    try:
+        return ", ".join(f"{device.platform} {device.device_kind}" for device in jax.devices())
+    except RuntimeError as reason:
+        return f"none: {reason}"
 
 
 def packages() -> dict[str, str]:

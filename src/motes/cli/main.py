@@ -59,14 +59,27 @@ def _guarded(name: str, words: list[str]) -> int:
         # the reader of our output has left, as in `motes doctor | head -1`; what is still buffered must not fail again at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except ValueError as reason:
-        from motes.core.checks import MotesError
-
-        if not isinstance(reason, MotesError):
+    except (ValueError, RuntimeError, MemoryError) as reason:
+        line = _in_one_line(reason)
+        if line is None:
             raise
-        print(f"motes {name}: {reason}", file=sys.stderr)
+        print(f"motes {name}: {line}", file=sys.stderr)
         return 2
     return 0
+
+
+def _in_one_line(reason: Exception) -> str | None:
+    """Return what to tell the user of an exception, or None where it is a fault of ours, whose traceback is wanted."""
+    from motes.core.checks import MotesError
+
+    if isinstance(reason, MotesError):
+        return str(reason)
+    text = " ".join(str(reason).split())[:300]
+    if isinstance(reason, MemoryError) or "RESOURCE_EXHAUSTED" in text:
+        return "memory: expected enough for this number of particles and steps, got too little. Use fewer particles."
+    if "Unable to initialize backend" in text:
+        return f"device: expected one that JAX finds, got: {text}"
+    return None
 
 
 if __name__ == "__main__":

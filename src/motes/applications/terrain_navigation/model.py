@@ -25,6 +25,8 @@ from motes.models.terrain import TerrainMap
 
 NAMES = ("rN", "rE", "rD", "vN", "vE", "vD", "aN", "aE", "aD")
 
+SMALLEST, LARGEST = 1e-9, 1e9
+
 
 @record
 class Track:
@@ -148,13 +150,15 @@ def error_model(terrain: TerrainMap, noises: Noises = NOISES, prior: Prior = PRI
         step: seconds between fixes, or None where each step's `Track.since` tells.
 
     Raises:
-        MotesError: a standard deviation or the step is not a positive number (process noises may be zero, but not that of the position).
+        MotesError: a standard deviation is not usable (of the process noises, those of velocity and acceleration may be zero), or the
+            step is not a positive number.
     """
     for table, given in (("noises", values(noises)), ("prior", values(prior))):
         for name, value in given.items():
-            lowest_allowed = name in ("velocity", "acceleration") and value == 0
-            if not (0 < value < np.inf or lowest_allowed):
-                checks.refuse(f"{table} {name}", "a positive standard deviation", value)
+            may_be_zero = table == "noises" and name in ("velocity", "acceleration")
+            # beyond these the square is lost in float32
+            if not (SMALLEST <= value <= LARGEST or (may_be_zero and value == 0)):
+                checks.refuse(f"{table} {name}", f"a standard deviation from {SMALLEST:g} to {LARGEST:g}", value)
     if step is not None and not 0 < step < np.inf:
         checks.refuse("step", "a positive number of seconds", step)
     across, down = (1.0, 1.0, 0.0), (0.0, 0.0, 1.0)
