@@ -35,6 +35,7 @@ from .models.state_space import StateSpaceModel as StateSpaceModel
 from .models.state_space import simulate as simulate
 from .models.structure import Structure as Structure
 from .models.structure import structure as structure
+from .plotting.plot import plot as plot
 from .resampling.policy import ESS as ESS
 from .resampling.policy import Always as Always
 from .resampling.policy import Entropy as Entropy

@@ -5,6 +5,7 @@
 The first measurement y_0 is of x_0, before any dynamics.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -206,7 +207,10 @@ def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tup
     return _simulate(key, plain, steps, inputs)
 
 
+@partial(jax.jit, static_argnames=("steps",))
 def _simulate(key: jax.Array, model: StateSpaceModel, steps: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
+    # a filter that is given the same key must not draw the truth as its first particle
+    key = random.child(key, random.MEASURE)
     separate = decorrelated(model)
     correlated = model.noise_cross_cov is not None
 

@@ -1,0 +1,1 @@
+"""Terrain-aided navigation: an inertial navigation system, a radio altimeter and a map of heights (paper 003)."""

@@ -1,0 +1,244 @@
+"""Flights: simulated over a map, or loaded from the user's files, and how well a run found the way."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.applications.terrain_navigation.model import Track, corrected, error_model
+from motes.applications.terrain_navigation.settings import FIRST, NOISES, PRIOR, MapFiles, Noises, Prior, Recording, Route
+from motes.core import checks
+from motes.core.record import record, replace
+from motes.core.types import KeyLike
+from motes.filters.history import History
+from motes.io.rasters import jacksboro, mosaic, read_raster
+from motes.io.tables import read_table, times
+from motes.models.state_space import StateSpaceModel, simulate
+from motes.models.terrain import TerrainMap, terrain_map
+
+LOST = 150.0
+"""A run whose final horizontal error exceeds this many meters is lost."""
+REACH = 5.0
+"""Standard deviations of the inertial position within which voids of the map count."""
+SEGMENTS = 50
+EVEN = 1e-3
+"""Fixes whose spacing varies by less than this share of it count as evenly spaced."""
+
+
+@record
+class Flight:
+    """Everything a filter needs of one flight, and what is known of the truth.
+
+    Attributes:
+        model: the model of the inertial errors.
+        terrain: the map.
+        ys: heights above terrain, `(t, 1)`, m.
+        inputs: the inertial track.
+        seconds: time of each fix since the first, `(t,)`, float64.
+        truth: true north and east, `(t, 2)`, m; None if not known.
+        errors: true inertial errors `(t, 9)`, where they were simulated; otherwise None.
+    """
+
+    model: StateSpaceModel
+    terrain: TerrainMap
+    ys: jax.Array
+    inputs: Track
+    seconds: np.ndarray
+    truth: jax.Array | None = None
+    errors: jax.Array | None = None
+
+
+class Score(NamedTuple):
+    """Horizontal errors of an estimate, meters.
+
+    Attributes:
+        final: at the last fix.
+        median: over the second half of the flight.
+        lost: whether the final one exceeds `LOST`.
+    """
+
+    final: float
+    median: float
+    lost: bool
+
+
+def simulated(
+    key: KeyLike, terrain: TerrainMap | None = None, route: Route = FIRST, noises: Noises = NOISES, prior: Prior = PRIOR
+) -> Flight:
+    """Fly a route with inertial errors drawn from the model's own law.
+
+    Args:
+        key: JAX key or integer seed.
+        terrain: the map; that of the Jacksboro fault if not given.
+        route: the true flight.
+        noises: standard deviations of process and altimeter.
+        prior: standard deviations at the first fix.
+
+    Raises:
+        MotesError: the route leaves the map.
+    """
+    terrain = terrain_map(jacksboro()) if terrain is None else terrain
+    checks.positive_integer("route fixes", route.fixes)
+    model = error_model(terrain, noises, prior, route.step)
+    seconds = np.arange(route.fixes) * route.step
+    heading = np.radians(route.heading)
+    north = route.north + route.speed * seconds * np.cos(heading)
+    east = route.east + route.speed * seconds * np.sin(heading)
+    altitude = np.full_like(north, float(np.nanmax(np.asarray(terrain.heights))) + route.clearance)
+    check_covered(terrain, north, east, "the flight")
+    truth = Track(*(jnp.asarray(part, model.dtype) for part in (north, east, altitude)))
+    # the errors depend neither on inputs nor on voids, so drawing twice with one key gives them, then the fixes that belong to them
+    errors, _ = simulate(key, model, route.fixes, truth)
+    inertial = Track(*corrected(truth, -errors))
+    model = error_model(without_far_voids(terrain, inertial, seconds, noises, prior), noises, prior, route.step)
+    errors, ys = simulate(key, model, route.fixes, inertial)
+    return Flight(model, terrain, ys, inertial, seconds, jnp.stack([truth.north, truth.east], axis=1), errors)
+
+
+def jacksboro_file() -> Path:
+    """Return where matplotlib keeps the map of the Jacksboro fault."""
+    return Path(checks.need("matplotlib.cbook", "results").get_sample_data("jacksboro_fault_dem.npz", asfileobj=False))
+
+
+def load_map(files: MapFiles) -> TerrainMap:
+    """Read and join the files of a map.
+
+    Raises:
+        FileError: a file is damaged or does not fit the others.
+        MotesError: no file is named.
+    """
+    if not files.files:
+        checks.refuse("map files", "at least one file of heights", "none")
+    return terrain_map(mosaic([read_raster(file, nodata=files.nodata) for file in files.files]))
+
+
+def load(files: MapFiles, recording: Recording, noises: Noises = NOISES, prior: Prior = PRIOR) -> Flight:
+    """Load a recorded flight.
+
+    Args:
+        files: the map.
+        recording: the table with the inertial track and the altimeter.
+        noises: standard deviations of process and altimeter.
+        prior: standard deviations at the first fix.
+
+    Raises:
+        FileError: a file is missing, damaged or lacks a column; the message names it.
+        MotesError: times decrease, the track has gaps, or the map does not cover it.
+    """
+    _check_recording(recording)
+    terrain = load_map(files)
+    timed = (recording.time,) if recording.time else ()
+    table = read_table(recording.file, [*timed, *recording.inertial, recording.height, *recording.truth])
+    name = Path(recording.file).name
+    for column in recording.inertial:
+        gaps = np.isnan(table[column])
+        if gaps.any():
+            checks.refuse(f"{name}: column {column!r}", "a number in every row (only the altimeter may miss)",
+                          f"none in row {int(np.argmax(gaps)) + 1}")
+    rows = table[recording.height].size
+    seconds = times(table[recording.time], repeats=False)[1] if recording.time else np.arange(rows) * recording.step
+    step, since = _spacing(seconds, recording.step)
+    north, east = _local(terrain, recording, table, recording.inertial)
+    check_covered(terrain, north, east, f"the inertial track in {name}")
+    dtype = terrain.heights.dtype
+    inertial = Track(*(jnp.asarray(part, dtype) for part in (north, east, table[recording.inertial[2]])))
+    if since is not None:
+        inertial = replace(inertial, since=jnp.asarray(since, dtype))
+    model = error_model(without_far_voids(terrain, inertial, seconds, noises, prior), noises, prior, step)
+    truth = jnp.asarray(np.stack(_local(terrain, recording, table, recording.truth), axis=1), dtype) if recording.truth else None
+    return Flight(model, terrain, jnp.asarray(table[recording.height][:, None], dtype), inertial, seconds, truth)
+
+
+def _check_recording(recording: Recording) -> None:
+    checks.option("data coordinates", recording.coordinates, ("local", "map"))
+    if not recording.file:
+        checks.refuse("data file", "a CSV or Parquet file", "none")
+    horizontal = "north or latitude, east or longitude"
+    if len(recording.inertial) != 3:
+        checks.refuse("data inertial", f"the names of three columns ({horizontal}, altitude)", list(recording.inertial))
+    if len(recording.truth) not in (0, 2):
+        checks.refuse("data truth", f"the names of two columns ({horizontal}) or none", list(recording.truth))
+    if not recording.time and not 0 < recording.step < np.inf:
+        checks.refuse("data step", "a positive number of seconds", recording.step)
+
+
+def _local(terrain: TerrainMap, recording: Recording, table: dict[str, Any], columns: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    north, east = table[columns[0]], table[columns[1]]
+    return (north, east) if recording.coordinates == "local" else terrain.to_local(north, east)
+
+
+def _spacing(seconds: np.ndarray, otherwise: float) -> tuple[float | None, np.ndarray | None]:
+    """Return the step where fixes are evenly spaced, and otherwise the seconds since the fix before."""
+    steps = np.diff(seconds)
+    if not steps.size:
+        return otherwise, None
+    usual = float(np.median(steps))
+    if np.abs(steps - usual).max() <= EVEN * usual:
+        return float(steps.mean()), None
+    return None, np.concatenate([[usual], steps])
+
+
+def without_far_voids(terrain: TerrainMap, inertial: Track, seconds: np.ndarray, noises: Noises, prior: Prior) -> TerrainMap:
+    """Return the map with the mean height in voids that no particle comes near.
+
+    Voids within reach make the altimeter's variance differ between particles, so that each needs its own covariance, which takes many
+    times as long; a void at the other end of the map should not cost that.
+
+    Args:
+        terrain: the map.
+        inertial: the inertial track, `(t,)`.
+        seconds: time of each fix, `(t,)`.
+        noises: standard deviations of process and altimeter.
+        prior: standard deviations at the first fix.
+    """
+    heights = np.asarray(terrain.heights)
+    if not np.isnan(heights).any():
+        return terrain
+    growth = (prior.horizontal_position, prior.horizontal_velocity * seconds, prior.horizontal_acceleration * seconds**2 / 2,
+              noises.position * np.sqrt(seconds))
+    reach = REACH * np.sqrt(sum(np.square(part) for part in growth))
+    near = np.zeros(heights.shape, bool)
+    for part in np.array_split(np.arange(seconds.size), min(SEGMENTS, seconds.size)):
+        sides = []
+        for along, spacing in ((inertial.north, terrain.dn), (inertial.east, terrain.de)):
+            cells = np.asarray(along)[part] / spacing
+            around = reach[part].max() / spacing
+            sides.append(slice(max(int(cells.min() - around), 0), max(int(cells.max() + around) + 2, 0)))
+        near[tuple(sides)] = True
+    return replace(terrain, heights=jnp.where(near, terrain.heights, jnp.nan_to_num(terrain.heights, nan=np.nanmean(heights))))
+
+
+def check_covered(terrain: TerrainMap, north: np.ndarray, east: np.ndarray, what: str) -> None:
+    """Refuse a map that a track leaves.
+
+    Raises:
+        MotesError: naming the extents of both, and the first row outside.
+    """
+    height, width = terrain.size
+    outside = ~((north >= 0) & (north <= height) & (east >= 0) & (east <= width))
+    if outside.any():
+        checks.refuse(
+            "map",
+            f"one that covers {what} (north {north.min():.0f} to {north.max():.0f} m, east {east.min():.0f} to {east.max():.0f} m "
+            "of the map's south-west post)",
+            f"north 0 to {height:.0f} m, east 0 to {width:.0f} m; row {int(np.argmax(outside)) + 1} lies outside",
+            "Check the order and unit of the columns, or join more map files.",
+        )
+
+
+def horizontal_errors(positions: tuple[Any, ...], flight: Flight) -> np.ndarray:
+    """Return the distance `(t,)` of positions (north and east, each `(t,)`) from the truth, meters."""
+    truth = np.asarray(flight.truth, np.float64)
+    return np.hypot(np.asarray(positions[0]) - truth[:, 0], np.asarray(positions[1]) - truth[:, 1])
+
+
+def score(history: History, flight: Flight) -> Score | None:
+    """Judge a run by the truth; None where that is not known."""
+    if flight.truth is None:
+        return None
+    errors = horizontal_errors(corrected(flight.inputs, history.mean), flight)
+    final = float(errors[-1])
+    return Score(final, float(np.median(errors[errors.size // 2:])), final > LOST)

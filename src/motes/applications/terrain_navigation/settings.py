@@ -1,0 +1,110 @@
+"""What a user can set of a flight, as plain records without arrays: they mirror the tables of a TOML file and cost no import of JAX."""
+
+import math
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Noises:
+    """Standard deviations of the noises; those of the process grow with the square root of time.
+
+    Attributes:
+        position: random walk of each position error, m/sqrt(s).
+        velocity: random walk of each velocity error, m/s/sqrt(s).
+        acceleration: random walk of each acceleration error, m/s^2/sqrt(s).
+        altimeter: error of one height above terrain, map errors included, m.
+    """
+
+    position: float = 2.0
+    velocity: float = 0.02
+    acceleration: float = 1e-4
+    altimeter: float = 15.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Standard deviations of the inertial errors at the first fix.
+
+    Attributes:
+        horizontal_position: m, north and east.
+        vertical_position: m.
+        horizontal_velocity: m/s, north and east.
+        vertical_velocity: m/s.
+        horizontal_acceleration: m/s^2, north and east; half a degree of tilt and 0.01 m/s^2 of bias unless said otherwise.
+        vertical_acceleration: m/s^2.
+    """
+
+    horizontal_position: float = 1000.0
+    vertical_position: float = 100.0
+    horizontal_velocity: float = 5.0
+    vertical_velocity: float = 1.0
+    horizontal_acceleration: float = math.hypot(9.81 * math.radians(0.5), 0.01)
+    vertical_acceleration: float = 0.01
+
+
+NOISES, PRIOR = Noises(), Prior()
+
+
+@dataclass(frozen=True)
+class MapFiles:
+    """The map.
+
+    Attributes:
+        files: DTED, HGT, GeoTIFF or npz files; neighbors on one grid are joined.
+        nodata: a height in the files that means "unknown", m.
+    """
+
+    files: tuple[str, ...] = field(default=(), metadata={"path": True})
+    nodata: float | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The table of measurements, CSV or Parquet, one row per fix.
+
+    Attributes:
+        file: the table.
+        coordinates: "local": columns are meters north and east of the map's south-west post; "map": the map's own coordinates
+            (latitude and longitude in degrees, or northing and easting in meters).
+        inertial: names of three columns of the inertial track: north or latitude, east or longitude, altitude in meters.
+        height: name of the column of heights above terrain by the altimeter, meters; empty cells are fixes that failed.
+        time: name of the column of times, seconds or ISO 8601; "" where fixes are `step` apart.
+        step: seconds between fixes where there is no column of times.
+        truth: names of the columns of the true north (or latitude) and east (or longitude), for scoring; none if not known.
+    """
+
+    file: str = field(default="", metadata={"path": True})
+    coordinates: str = "local"
+    inertial: tuple[str, ...] = ("ins_north", "ins_east", "ins_altitude")
+    height: str = "height"
+    time: str = "time"
+    step: float = 0.3
+    truth: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Route:
+    """A straight level flight, to simulate.
+
+    Attributes:
+        north: where it starts, meters north of the map's south-west post.
+        east: where it starts, meters east of it.
+        heading: degrees from north, clockwise.
+        clearance: altitude above the highest point of the map, m.
+        speed: m/s.
+        step: seconds between fixes.
+        fixes: number of fixes.
+    """
+
+    north: float = 4000.0
+    east: float = 3000.0
+    heading: float = 45.0
+    clearance: float = 500.0
+    speed: float = 250.0
+    step: float = 0.3
+    fixes: int = 400
+
+
+FIRST = Route()
+ROUTES = {"first": FIRST, "second": Route(north=9000.0, east=2500.0, heading=60.0)}
+"""Two flights over the map that matplotlib ships."""

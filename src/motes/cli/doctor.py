@@ -1,0 +1,68 @@
+"""`motes doctor`: what a report of a problem should say of this machine."""
+
+import os
+import platform
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+
+from motes.cli import compiled
+from motes.cli.options import from_flags
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Print versions, devices, precision and folders."""
+
+
+def main(words: Sequence[str]) -> None:
+    """Print the report."""
+    from_flags(Doctor(), words, "motes doctor")
+    for name, value in report():
+        print(f"{name:<16}{value}")
+
+
+def report() -> Iterator[tuple[str, str]]:
+    """Yield name and value of each line."""
+    import jax
+
+    yield "motes", metadata.version("motes")
+    yield "python", f"{platform.python_version()} ({sys.executable})"
+    yield "system", f"{platform.system()} {platform.release()} {platform.machine()}"
+    yield "processors", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
+    yield "devices", _devices()
+    yield "precision", "float64" if jax.config.jax_enable_x64 else "float32 (set JAX_ENABLE_X64=1 for float64)"
+    place = compiled.private_folder()
+    yield "compiled", str(place) if place else f"not kept: {compiled.folder()} cannot be used"
+    for package, extra in sorted(packages().items()):
+        yield package, _version(package) or f"not installed (pip install 'motes[{extra}]')"
+
+
+def _devices() -> str:
+    import jax
+
+    try:
+        return ", ".join(f"{device.platform} {device.device_kind}" for device in jax.devices())
+    except RuntimeError as reason:
+        return f"none: {reason}"
+
+
+def packages() -> dict[str, str]:
+    """Return what motes can use: package to the first extra that brings it, "" for what it always needs."""
+    found: dict[str, str] = {}
+    for line in metadata.requires("motes") or ():
+        name = re.match(r"[A-Za-z0-9._-]+", line)
+        extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)", line)
+        group = extra[1] if extra else ""
+        if name and name[0] != "motes" and group not in ("all", "dev"):
+            found.setdefault(name[0], group)
+    return found
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

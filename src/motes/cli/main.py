@@ -1,0 +1,86 @@
+"""The command `motes`: each subcommand is one file with `main(arguments)`, imported when it is called.
+
+Whatever the user gets wrong becomes one line on the error stream and exit code 2; Ctrl-C gives 130; 0 is success. Nothing here imports
+JAX, so that `motes --help` answers at once.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+COMMANDS = {
+    "demo": "fly a demonstration: terrain",
+    "run": "run a filter on your own map and measurements, as a TOML file says",
+    "doctor": "print versions, devices and precision",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one subcommand.
+
+    Args:
+        arguments: words after `motes`; those of the process if not given.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(_usage())
+        return 0
+    if words[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"motes {version('motes')}")
+        return 0
+    if words[0] not in COMMANDS:
+        print(f"motes: expected one of the commands {', '.join(COMMANDS)}, got {words[0]!r}. See motes --help.", file=sys.stderr)
+        return 2
+    return _guarded(words[0], words[1:])
+
+
+def _usage() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {does}" for name, does in COMMANDS.items()]
+    return "\n".join(["usage: motes COMMAND [options]", "", "Monte Carlo state estimation.", "", *lines, "",
+                      "motes COMMAND --help tells the options of a command."])
+
+
+def _guarded(name: str, words: list[str]) -> int:
+    """Run a subcommand; turn refusals and interruptions into one line."""
+    try:
+        importlib.import_module(f"motes.cli.{name}").main(words)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        print(f"motes {name}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # the reader of our output has left, as in `motes doctor | head -1`; what is still buffered must not fail again at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except (ValueError, RuntimeError, MemoryError) as reason:
+        line = _in_one_line(reason)
+        if line is None:
+            raise
+        print(f"motes {name}: {line}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _in_one_line(reason: Exception) -> str | None:
+    """Return what to tell the user of an exception, or None where it is a fault of ours, whose traceback is wanted."""
+    from motes.core.checks import MotesError
+
+    if isinstance(reason, MotesError):
+        return str(reason)
+    text = " ".join(str(reason).split())[:300]
+    if isinstance(reason, MemoryError) or "RESOURCE_EXHAUSTED" in text:
+        return "memory: expected enough for this number of particles and steps, got too little. Use fewer particles."
+    if "Unable to initialize backend" in text:
+        return f"device: expected one that JAX finds, got: {text}"
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

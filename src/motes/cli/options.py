@@ -1,0 +1,125 @@
+"""Options from TOML files and flags, both mirrored by frozen dataclasses: a table is a nested dataclass, a key is a field."""
+
+import contextlib
+import dataclasses
+import io
+import os
+import tomllib
+import types
+import typing
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+Settings = TypeVar("Settings")
+LARGEST = 1 << 20
+KINDS = {int: "a whole number", float: "a number", str: "text in quotes", bool: "true or false", tuple: "a list of texts"}
+
+
+def refuse(argument: str, expected: str, given: object, hint: str = "") -> NoReturn:
+    """Refuse in the library's words; imported late, since it brings JAX."""
+    from motes.core import checks
+
+    checks.refuse(argument, expected, given, hint)
+
+
+def from_flags(default: Settings, words: Sequence[str], command: str) -> Settings:
+    """Return settings with the flags that the user gave; `--help` prints them and leaves with code 0.
+
+    Args:
+        default: the settings where no flag is given.
+        words: the flags.
+        command: words that lead here, such as "motes run".
+
+    Raises:
+        MotesError: a flag is unknown or its value cannot be used.
+    """
+    import tyro
+
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(type(default), args=list(words), default=default, prog=command, config=(tyro.conf.AvoidSubcommands,))
+    except SystemExit as leaving:
+        if not leaving.code:
+            raise
+    refuse("options", f"those that {command} --help lists", _first_words(said.getvalue()))
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that the random stream cannot take."""
+    if not 0 <= seed < 2**32:
+        refuse("seed", "a whole number from 0 to 4294967295", seed)
+
+
+def _first_words(box: str) -> str:
+    """Return what a framed message says before its first rule, on one line."""
+    found = []
+    for line in box.splitlines()[1:]:
+        text = line.strip("│ ")
+        if not text.strip("─╰╯"):
+            break
+        found.append(text)
+    return " ".join(found).rstrip(".")
+
+
+def from_toml(kind: type[Settings], path: str) -> Settings:
+    """Read settings from a TOML file; paths in it are relative to its folder.
+
+    Args:
+        kind: a frozen dataclass whose fields all have defaults.
+        path: the file.
+
+    Raises:
+        FileError: the file is missing, larger than 1 MB or not UTF-8, or is no TOML; the message names the line.
+        MotesError: a key is unknown or a value has another kind; the message names it.
+    """
+    from motes.io.files import foreign, look, reject
+
+    size, _ = look(path, 1)
+    if size > LARGEST:
+        reject(path, f"a TOML file of at most {LARGEST} bytes", f"{size} bytes")
+    with foreign(path, "a TOML file"):
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    return _filled(kind, table, Path(path), "")
+
+
+def _filled(kind: Any, table: dict[str, Any], path: Path, place: str) -> Any:
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    hints = typing.get_type_hints(kind)
+    where = f"{path.name}: [{place}]" if place else path.name
+    given = {}
+    for key, value in table.items():
+        if key not in fields:
+            refuse(where, f"the keys {', '.join(fields)}", f"{key!r}")
+        if dataclasses.is_dataclass(hints[key]):
+            if not isinstance(value, dict):
+                refuse(f"{where} {key}", f"a table [{key}]", repr(value))
+            given[key] = _filled(hints[key], value, path, f"{place}.{key}" if place else key)
+            continue
+        given[key] = _value(hints[key], value, f"{where} {key}")
+        if fields[key].metadata.get("path"):
+            given[key] = _beside(path.parent, given[key])
+    return kind(**given)
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    """Return a value of a TOML file in the kind of its field."""
+    if isinstance(hint, types.UnionType):
+        hint = next(option for option in typing.get_args(hint) if option is not types.NoneType)
+    if typing.get_origin(hint) is tuple:
+        value = [value] if isinstance(value, str) else value
+        if isinstance(value, list) and all(isinstance(item, str) for item in value):
+            return tuple(value)
+        refuse(where, KINDS[tuple], repr(value))
+    if hint is float and type(value) is int:
+        return float(value)
+    if type(value) is not hint:
+        refuse(where, KINDS[hint], repr(value))
+    return value
+
+
+def _beside(folder: Path, value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(_beside(folder, item) for item in value)
+    return os.path.join(folder, value) if value else value

@@ -1,0 +1,61 @@
+"""`motes run CONFIG.toml`: run a filter on the user's own map and measurements.
+
+The TOML file has the tables [map], [data], [noises], [prior] and [filter] and the keys `seed` and `out`; all but `files` of [map] and
+`file` of [data] have defaults. `motes demo` writes one, with comments, beside a flight that it fits. Paths in the file are relative to its
+folder, those in flags to where the command is called. Writes the same files as `motes demo`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from motes.applications.terrain_navigation.settings import MapFiles, Noises, Prior, Recording
+from motes.cli.compiled import keep_programs
+from motes.cli.filters import FilterChoice, build
+from motes.cli.options import check_seed, from_flags, from_toml, refuse
+
+USAGE = "motes run CONFIG.toml"
+
+
+@dataclass(frozen=True)
+class Config:
+    """Run a filter on your own map and measurements; CONFIG.toml comes first, flags change single keys of it.
+
+    Attributes:
+        map: the map.
+        data: the measurements.
+        noises: standard deviations of process and altimeter.
+        prior: standard deviations at the first fix.
+        filter: the filter.
+        seed: of the filter.
+        out: folder for the results.
+    """
+
+    map: MapFiles = MapFiles()
+    data: Recording = Recording()
+    noises: Noises = Noises()
+    prior: Prior = Prior()
+    filter: FilterChoice = FilterChoice()
+    seed: int = 0
+    out: str = field(default="out", metadata={"path": True})
+
+
+def main(words: Sequence[str]) -> None:
+    """Run what the file asks for.
+
+    Raises:
+        MotesError: the file, what it names, or an option cannot be used.
+    """
+    if words and words[0].startswith("-"):
+        from_flags(Config(), words, USAGE)
+    if not words or words[0].startswith("-"):
+        refuse("motes run", "a TOML file first", " ".join(words) or "nothing", "motes demo writes an example: out/terrain.toml.")
+    config = from_flags(from_toml(Config, words[0]), words[1:], USAGE)
+    check_seed(config.seed)
+    keep_programs()
+    from motes.applications.terrain_navigation import scenario
+    from motes.cli.terrain import fly
+
+    filters = {config.filter.kind: build(config.filter)}
+    flight = scenario.load(config.map, config.data, config.noises, config.prior)
+    folder = fly(flight, filters, config.seed, config, config.out)
+    print(f"Results are in {folder}.")

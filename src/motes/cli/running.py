@@ -1,0 +1,164 @@
+"""Run filters with a progress bar and a clock, print what came out, and write it to a folder."""
+
+import dataclasses
+import io
+import json
+import math
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from motes.core.checks import FileError, refuse
+from motes.filters.history import History, joined
+from motes.filters.interface import Filter
+from motes.filters.run import run_in_chunks
+from motes.io.archive import provenance, whole_file
+from motes.models.state_space import step_inputs
+
+CHUNKS = 20
+
+
+class Outcome(NamedTuple):
+    """One filter's run.
+
+    Attributes:
+        filter: the filter.
+        history: what it found.
+        seconds_per_step: median time of a step, compilation left out; None for runs too short to tell.
+    """
+
+    filter: Filter
+    history: History
+    seconds_per_step: float | None
+
+
+def race(seed: int, filters: Mapping[str, Filter], model: Any, ys: jax.Array, inputs: Any) -> dict[str, Outcome]:
+    """Run each filter over the same measurements, with a progress bar on the error stream.
+
+    Args:
+        seed: of all filters.
+        filters: by name.
+        model: their model.
+        ys: measurements `(t, y)`.
+        inputs: inputs of the model, time axis first.
+
+    Raises:
+        MotesError: a filter does not fit the model, or its weights collapsed.
+    """
+    for one in filters.values():
+        one.prepare(model, step_inputs(inputs, 0))
+    columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn())
+    outcomes = {}
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        for name, one in filters.items():
+            task = progress.add_task(name, total=ys.shape[0])
+            outcomes[name] = _timed(seed, one, model, ys, inputs, lambda steps, task=task: progress.advance(task, steps))
+    return outcomes
+
+
+def _timed(seed: int, filter: Filter, model: Any, ys: jax.Array, inputs: Any, advance: Any) -> Outcome:
+    chunk = math.ceil(ys.shape[0] / CHUNKS)
+    pieces, times, seen = [], [], set()
+    began = time.perf_counter()
+    for number, piece in enumerate(run_in_chunks(seed, filter, model, ys, inputs, chunk=chunk)):
+        jax.block_until_ready(piece)
+        now = time.perf_counter()
+        steps = piece.info.ess.shape[0]
+        # the first chunk, and each new length, are compiled when they are first met
+        if (number > 0, steps) in seen:
+            times.append((now - began) / steps)
+        seen.add((number > 0, steps))
+        pieces.append(piece)
+        advance(steps)
+        began = time.perf_counter()
+    return Outcome(filter, joined(pieces), float(np.median(times)) if times else None)
+
+
+def results(outcome: Outcome) -> dict[str, Any]:
+    """Return what a table or a summary tells of a run besides its errors."""
+    ess = np.asarray(outcome.history.ess)
+    milliseconds = None if outcome.seconds_per_step is None else 1e3 * outcome.seconds_per_step
+    found = {"filter": repr(outcome.filter), "median_ess": float(np.median(ess)), "milliseconds_per_step": milliseconds}
+    if outcome.history.has_evidence:
+        found["log_likelihood"] = float(outcome.history.log_likelihood)
+    return found
+
+
+def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table; the first column is text, the others are numbers."""
+    table = Table(title=title, title_justify="left")
+    for place, name in enumerate(head):
+        table.add_column(name, justify="left" if place == 0 else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def number(value: float | None, digits: int) -> str:
+    """Return a number as a table shows it; a dash where there is none."""
+    return "-" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+
+
+def check_folder(path: str) -> None:
+    """Refuse a folder for results that could not be written to, before there are any; makes nothing.
+
+    Raises:
+        FileError: it is no folder, or may not be written to.
+    """
+    place = Path(path).absolute()
+    existing = next(above for above in (place, *place.parents) if os.path.lexists(above))
+    if not existing.is_dir():
+        refuse(path, "a folder that can be written", f"{existing.name}, which is none", error=FileError)
+    # some file systems, such as /proc, allow nothing although the permissions would
+    if not os.access(existing, os.W_OK | os.X_OK) or os.statvfs(existing).f_blocks == 0:
+        refuse(path, "a folder that can be written", f"{existing}, which cannot", error=FileError)
+
+
+def made_folder(path: str) -> Path:
+    """Return the folder for results, made where it is missing.
+
+    Raises:
+        FileError: it cannot be made.
+    """
+    place = Path(path)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as reason:
+        refuse(path, "a folder that can be written", reason.strerror or str(reason), error=FileError)
+    return place
+
+
+def write_summary(path: Path, settings: Any, found: dict[str, Any]) -> None:
+    """Write a JSON file with where the results come from, all settings, and the results; numbers that are not finite become null."""
+    content = {"provenance": provenance(), "settings": dataclasses.asdict(settings), "results": found}
+    write_text(path, json.dumps(_finite(content), indent=2, allow_nan=False) + "\n")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    with whole_file(path) as file:
+        file.write(text.encode())
+
+
+def write_figure(path: Path, figure: Any) -> None:
+    """Write a figure as PNG, whole or not at all."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=130)
+    with whole_file(path) as file:
+        file.write(picture.getvalue())

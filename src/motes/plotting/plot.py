@@ -1,0 +1,26 @@
+"""One verb for all pictures."""
+
+from typing import Any
+
+from motes.core import checks
+from motes.filters.history import History
+from motes.plotting.history import history_figure
+
+
+def plot(result: Any, truth: Any = None) -> Any:
+    """Draw a result.
+
+    Args:
+        result: a `History` that kept means and covariances.
+        truth: true states `(t, x)`, to draw beside the estimates.
+
+    Returns:
+        A matplotlib `Figure`; save it with `figure.savefig("name.png")`.
+
+    Raises:
+        MotesError: there is no picture for such a result, or the truth does not fit it.
+        MissingExtraError: matplotlib is not installed.
+    """
+    if isinstance(result, History):
+        return history_figure(result, truth)
+    checks.refuse("plot result", "a History", type(result).__name__)

@@ -1,0 +1,127 @@
+"""Pictures of a flight over terrain: the map with its tracks, and the error against time."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from motes.core.checks import need
+from motes.models.terrain import TerrainMap
+from motes.plotting.figures import COLORS, ESTIMATE, INERTIAL, TRUE, legend_below, new_figure, tidy
+
+MARGIN = 3000.0
+"""Meters of map shown around the tracks."""
+ELLIPSES = 10
+
+
+class Tracks(NamedTuple):
+    """Horizontal tracks, each a pair of north and east `(t,)` in meters.
+
+    Attributes:
+        inertial: of the inertial navigation system.
+        estimate: of the filter.
+        covs: the filter's covariances of north and east, `(t, 2, 2)`, m^2.
+        true: None if not known.
+    """
+
+    inertial: tuple[np.ndarray, np.ndarray]
+    estimate: tuple[np.ndarray, np.ndarray]
+    covs: np.ndarray
+    true: tuple[np.ndarray, np.ndarray] | None = None
+
+
+def map_figure(terrain: TerrainMap, tracks: Tracks, title: str = "") -> Any:
+    """Draw the hillshaded map with true, inertial and estimated track, and a few two-sigma ellipses of the estimate.
+
+    Args:
+        terrain: the map.
+        tracks: in its meters.
+        title: over the picture.
+    """
+    shown = [track for track in (tracks.inertial, tracks.true, tracks.estimate) if track is not None]
+    (south, north), (west, east) = (_reach(terrain, shown, side) for side in (0, 1))
+    # the figure takes the shape of the map, within reason, so that little of it stays empty
+    figure = new_figure(8.2, min(max(6.6 * (north - south) / (east - west), 3.0), 11.0) + 1.1)
+    axes = figure.add_subplot()
+    _ground(figure, axes, terrain)
+    if tracks.true is not None:
+        _line(axes, tracks.true, color=TRUE, linewidth=4.0, label="true")
+    _line(axes, tracks.inertial, color=INERTIAL, linewidth=2.0, linestyle="--", label="inertial")
+    _line(axes, tracks.estimate, color=ESTIMATE, linewidth=1.8, label="estimated")
+    # the estimate usually settles soon: most ellipses belong to the beginning, where they can be seen
+    last = len(tracks.covs) - 1
+    for step in np.unique(np.geomspace(1, last + 1, ELLIPSES).astype(int)) - 1:
+        _ellipse(axes, tracks.estimate[0][step], tracks.estimate[1][step], tracks.covs[step])
+    axes.plot([], [], color=ESTIMATE, linewidth=1.0, label="2 sigma of the estimate")
+    axes.set(aspect="equal", xlabel="east, km", ylabel="north, km", title=title, xlim=(west, east), ylim=(south, north))
+    legend_below(figure, axes, 4)
+    return figure
+
+
+def _line(axes: Any, track: tuple[np.ndarray, np.ndarray], **look: Any) -> None:
+    north, east = (np.asarray(part) / 1e3 for part in track)
+    axes.plot(east, north, color="white", linewidth=look["linewidth"] + 2.5, zorder=2)
+    axes.plot(east, north, zorder=3, solid_capstyle="butt", **look)
+
+
+def _ground(figure: Any, axes: Any, terrain: TerrainMap) -> None:
+    colors = need("matplotlib.colors", "results")
+    heights = np.asarray(terrain.heights, np.float64)
+    void = np.isnan(heights)
+    filled = np.where(void, np.nanmean(heights), heights)
+    lowest, highest = float(filled.min()), float(filled.max())
+    # the light wants the northernmost row first
+    light = colors.LightSource(azdeg=315, altdeg=45)
+    shade = light.hillshade(filled[::-1], vert_exag=2.0, dx=float(terrain.de), dy=float(terrain.dn))[::-1]
+    north, east = (float(side) / 1e3 for side in terrain.size)
+    half_row, half_column = float(terrain.dn) / 2e3, float(terrain.de) / 2e3
+    extent = (-half_column, east + half_column, -half_row, north + half_row)
+    axes.imshow(shade, cmap="gray", vmin=0, vmax=1, origin="lower", extent=extent)
+    # the blue end of the colors lies below the lowest land
+    tint = axes.imshow(np.where(void, np.nan, heights), cmap="gist_earth", vmin=lowest - 0.35 * (highest - lowest), vmax=highest,
+                       origin="lower", extent=extent, alpha=0.45)
+    figure.colorbar(tint, ax=axes, label="height, m", shrink=0.7).ax.set_ylim(lowest, highest)
+
+
+def _ellipse(axes: Any, north: float, east: float, cov: np.ndarray) -> None:
+    patches = need("matplotlib.patches", "results")
+    variances, directions = np.linalg.eigh(cov)
+    width, height = 4 * np.sqrt(np.maximum(variances, 0)) / 1e3
+    # rows of the covariance are north, east; the angle is counted from east
+    angle = np.degrees(np.arctan2(directions[0, 0], directions[1, 0]))
+    look = {"fill": False, "edgecolor": ESTIMATE, "linewidth": 1.1, "zorder": 4}
+    axes.add_patch(patches.Ellipse((east / 1e3, north / 1e3), width, height, angle=angle, **look))
+
+
+def _reach(terrain: TerrainMap, tracks: list[Any], side: int) -> tuple[float, float]:
+    """Return from where to where the picture goes, km: the tracks and some map around them."""
+    along = np.concatenate([np.asarray(track[side]) for track in tracks])
+    low, high = float(along.min()), float(along.max())
+    return max(low - MARGIN, min(0.0, low)) / 1e3, min(high + MARGIN, max(float(terrain.size[side]), high)) / 1e3
+
+
+def error_figure(seconds: np.ndarray, errors: Mapping[str, np.ndarray], deviation: np.ndarray, lost: float, title: str = "") -> Any:
+    """Draw horizontal errors against time.
+
+    Args:
+        seconds: time of each fix, `(t,)`.
+        errors: horizontal error `(t,)` in meters of each filter by name, the first being the one that `deviation` belongs to.
+        deviation: the first filter's own standard deviation of the horizontal error, `(t,)`, m.
+        lost: error above which a run counts as lost, m.
+        title: over the picture.
+    """
+    figure = new_figure(8.2, 4.6)
+    axes = figure.add_subplot()
+    tidy(axes)
+    first = next(iter(errors))
+    axes.fill_between(seconds, 1e-3, 2 * deviation, color=ESTIMATE, alpha=0.15, linewidth=0, label=f"2 sigma of {first}")
+    for (name, error), color in zip(errors.items(), COLORS, strict=False):
+        axes.plot(seconds, error, color=color, linewidth=1.6 if name == first else 1.1, label=name)
+    axes.axhline(lost, color="0.35", linewidth=1.0, linestyle="--", label=f"lost above {lost:.0f} m")
+    lowest = min(float(np.min(error[error > 0], initial=lost)) for error in errors.values())
+    highest = max(float(np.max(error)) for error in errors.values())
+    axes.set(yscale="log", ylim=(max(lowest / 1.5, 1.0), max(2 * highest, 2 * lost)), xlim=(seconds[0], max(seconds[-1], seconds[0] + 1)),
+             xlabel="time, s", ylabel="horizontal error, m", title=title)
+    axes.yaxis.set_major_formatter(need("matplotlib.ticker", "results").FuncFormatter(lambda value, _: f"{value:g}"))
+    legend_below(figure, axes, 3)
+    return figure

@@ -1,0 +1,233 @@
+"""The command line as its users meet it."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from data import recorded
+from motes.cli.main import main
+
+COMMAND = "import sys; from motes.cli.main import main; sys.exit(main())"
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """A small demonstration, flown once; compiled programs are kept apart from the user's own."""
+    home = tmp_path_factory.mktemp("home")
+    before = os.environ.get("XDG_CACHE_HOME")
+    os.environ["XDG_CACHE_HOME"] = str(home / "cache")
+    try:
+        assert main(["demo", "terrain", "--n", "150", "--out", str(home / "out")]) == 0
+        yield home / "out"
+    finally:
+        os.environ.pop("XDG_CACHE_HOME") if before is None else os.environ.update(XDG_CACHE_HOME=before)
+
+
+@pytest.fixture
+def folder(demo, tmp_path):
+    """A folder with the demonstration's flight alone."""
+    for name in ("terrain.toml", "flight.csv", "jacksboro_fault_dem.npz"):
+        shutil.copy(demo / name, tmp_path)
+    return tmp_path
+
+
+def refused(capsys, arguments, *words):
+    """Assert exit code 2 and one line that holds the words."""
+    code = main([str(argument) for argument in arguments])
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert code == 2 and len(lines) == 1, (code, lines)
+    assert len(lines[0]) <= 560 and "Traceback" not in lines[0]
+    for word in words:
+        assert word in lines[0], (word, lines[0])
+
+
+def change(folder, old, new):
+    path = folder / "terrain.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def test_demo_writes_everything(demo):
+    names = {path.name for path in demo.iterdir()}
+    assert names == {"marginalized.nc", "particle.nc", "summary.json", "map.png", "states.png", "error.png", "flight.csv", "terrain.toml",
+                     "jacksboro_fault_dem.npz"}
+    summary = json.loads((demo / "summary.json").read_text())
+    assert summary["settings"]["n"] == 150 and "jax_version" in summary["provenance"]
+    assert set(summary["results"]) == {"marginalized", "particle"}
+    assert summary["results"]["marginalized"]["milliseconds_per_step"] > 0
+    assert (demo.parent / "cache" / "motes" / "compiled").stat().st_mode & 0o777 == 0o700
+
+
+def test_run_repeats_the_demo(folder, demo, capsys):
+    assert main(["run", str(folder / "terrain.toml"), "--seed", "1"]) == 0
+    assert "marginalized" in capsys.readouterr().out
+    assert {"marginalized.nc", "summary.json", "map.png", "error.png"} <= {path.name for path in (folder / "run").iterdir()}
+    summary = json.loads((folder / "run" / "summary.json").read_text())
+    assert summary["settings"]["seed"] == 1 and summary["settings"]["noises"]["altimeter"] == 15.0
+
+
+def test_run_without_truth_on_parquet(folder, capsys):
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    from motes.io.tables import read_table
+
+    table = {name: values[:41] for name, values in read_table(folder / "flight.csv").items()}
+    table["height"][3] = float("nan")
+    parquet.write_table(arrow.table(table), folder / "flight.parquet")
+    change(folder, '"flight.csv"', '"flight.parquet"')
+    change(folder, 'truth = ["true_north", "true_east"]', "")
+    assert main(["run", str(folder / "terrain.toml"), "--out", str(folder / "mine"), "--filter.linear", "rD", "vD", "aD"]) == 0
+    assert {path.name for path in (folder / "mine").iterdir()} == {"marginalized.nc", "summary.json", "map.png", "states.png"}
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("seed = 0", "seed = ", ("TOML", "line")),
+    ("seed = 0", "sead = 0", ("'sead'", "seed", "filter")),
+    ("[filter]", "[filters]", ("'filters'",)),
+    ("policy =", "polizy =", ("[filter]", "'polizy'", "policy")),
+    ("n = 150", "n = 0", ("n:", "at least 1")),
+    ("n = 150", "n = 1e3", ("[filter] n", "whole number")),
+    ("n = 150", "n = 900000000000", ("filter n", "at most")),
+    ("n = 150", 'n = 150\nlinear = ["vX"]', ("vX",)),
+    ("n = 150", 'n = 150\nlinear = ["rN"]', ("rN",)),
+    ("n = 150", "n = 150\nthreshold = 7", ("ESS share",)),
+    ('kind = "marginalized"', 'kind = "kalman"', ("filter kind", "'kalman'")),
+    ('policy = "ess"', 'policy = "sometimes"', ("filter policy", "'sometimes'")),
+    ("seed = 0", "seed = -4", ("seed", "-4")),
+    ("altimeter = 15.0", "altimeter = nan", ("altimeter", "nan")),
+    ("altimeter = 15.0", "altimeter = 1e-30", ("altimeter", "1e-30")),
+    ("altimeter = 15.0", "altimeter = 1e30", ("altimeter", "1e+30")),
+    ("altimeter = 15.0", 'altimeter = "15"', ("[noises] altimeter", "a number")),
+    ('"flight.csv"', '"none.csv"', ("none.csv",)),
+    ('"flight.csv"', '"terrain.toml"', ("terrain.toml",)),
+    ('["jacksboro_fault_dem.npz"]', '["none.npz"]', ("none.npz",)),
+    ('["jacksboro_fault_dem.npz"]', '["flight.csv"]', ("flight.csv",)),
+    ('["jacksboro_fault_dem.npz"]', "[3]", ("[map] files", "list of texts")),
+    ('height = "height"', 'height = "radar"', ("'radar'", "ins_north")),
+    ('coordinates = "local"', 'coordinates = "map"', ("map", "covers", "outside")),
+    ('out = "run"', 'out = "flight.csv"', ("flight.csv", "folder")),
+])
+def test_bad_settings_are_refused(folder, capsys, old, new, words):
+    path = change(folder, old, new)
+    before = sorted(folder.iterdir())
+    refused(capsys, ["run", path], "motes run:", *words)
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(("line", "column", "value", "words"), [
+    (5, 4, "high", ("line 5", "'height'", "'high'")),
+    (5, 0, "0.1", ("times", "line 5")),
+    (5, 1, "", ("'ins_north'", "row 4")),
+    (5, 2, "inf", ("finite", "'ins_east'")),
+])
+def test_bad_tables_are_refused(folder, capsys, line, column, value, words):
+    lines = (folder / "flight.csv").read_text().splitlines()
+    cells = lines[line - 1].split(",")
+    cells[column] = value
+    lines[line - 1] = ",".join(cells)
+    (folder / "flight.csv").write_text("\n".join(lines))
+    refused(capsys, ["run", folder / "terrain.toml"], *words)
+    assert not (folder / "run").exists()
+
+
+def test_maps_are_refused(folder, capsys):
+    # a virtual raster may name any file or address: it must not be opened
+    (folder / "map.tif").write_text('<VRTDataset rasterXSize="9" rasterYSize="9"></VRTDataset>')
+    refused(capsys, ["run", folder / "terrain.toml", "--map.files", folder / "map.tif"], "map.tif")
+    elsewhere = recorded("terrain/dted/w121/n36.dt1")
+    change(folder, 'coordinates = "local"', 'coordinates = "map"')
+    refused(capsys, ["run", folder / "terrain.toml", "--map.files", elsewhere], "map", "covers")
+    assert not (folder / "run").exists()
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["fly"], ("'fly'", "demo")),
+    (["demo", "moon"], ("'moon'", "terrain")),
+    (["demo", "--n", "abc"], ("--n", "abc")),
+    (["demo", "--m", "3"], ("--m",)),
+    (["demo", "--filter", "best"], ("filter kind", "'best'")),
+    (["demo", "--position-noise", "-1"], ("position", "-1")),
+    (["demo", "--out", "/proc/none/out"], ("/proc/none/out", "folder")),
+    (["run"], ("TOML", "nothing")),
+    (["run", "none.toml"], ("none.toml",)),
+    (["run", "--seed", "3"], ("TOML", "--seed")),
+    (["doctor", "now"], ("now",)),
+])
+def test_bad_words_are_refused(tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    refused(capsys, arguments, *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_interruption(monkeypatch, capsys):
+    def interrupted(words):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("motes.cli.doctor.main", interrupted)
+    assert main(["doctor"]) == 130
+    assert capsys.readouterr().err == "motes doctor: interrupted\n"
+
+
+@pytest.mark.parametrize(("error", "words"), [
+    (MemoryError(), ("memory", "fewer particles")),
+    (RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes."), ("memory", "fewer particles")),
+    (RuntimeError("Unable to initialize backend 'moon'"), ("device", "'moon'")),
+])
+def test_machines_that_cannot_are_told_in_one_line(monkeypatch, capsys, error, words):
+    def failing(arguments):
+        raise error
+
+    monkeypatch.setattr("motes.cli.doctor.main", failing)
+    refused(capsys, ["doctor"], *words)
+    error.args = ("a fault of ours",)
+    if not isinstance(error, MemoryError):
+        with pytest.raises(RuntimeError):
+            main(["doctor"])
+
+
+def test_cache_that_others_can_use_is_made_private(tmp_path, monkeypatch):
+    from motes.cli import compiled
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    place = tmp_path / "motes" / "compiled"
+    place.mkdir(parents=True)
+    place.chmod(0o777)
+    assert compiled.private_folder() == place and place.stat().st_mode & 0o777 == 0o700
+    shutil.rmtree(place)
+    place.symlink_to(tmp_path)
+    assert compiled.private_folder() is None
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
+    assert compiled.private_folder() is None
+
+
+def shell(*arguments, **environment):
+    return subprocess.run([sys.executable, "-c", COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=120,
+                          env=os.environ | environment)
+
+
+def test_help_is_quick_and_does_not_import_jax():
+    code = COMMAND.replace("sys.exit(main())", "main(); sys.exit('jax' in sys.modules or 'tyro' in sys.modules)")
+    for arguments in (["--help"], []):
+        done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0 and "doctor" in done.stdout
+    done = shell("run", "--help")
+    assert done.returncode == 0 and "--filter.n" in done.stdout
+
+
+def test_real_process_refuses_in_one_line(folder):
+    done = shell("run", change(folder, 'height = "height"', 'height = "radar"'))
+    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and "'radar'" in done.stderr
+
+
+def test_doctor(tmp_path):
+    done = shell("doctor", XDG_CACHE_HOME=str(tmp_path))
+    assert done.returncode == 0 and not done.stderr
+    for word in ("motes", "jax", "precision", "devices", "matplotlib", "processors", str(Path(tmp_path) / "motes")):
+        assert word in done.stdout

@@ -1,0 +1,73 @@
+"""Pictures: what is drawn, not how pretty it is."""
+
+import io
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import motes as mo
+from data import refused
+from motes.models.terrain import TerrainMap
+from motes.plotting.terrain import Tracks, error_figure, map_figure
+
+
+@pytest.fixture(scope="module")
+def history():
+    law = mo.Gaussian(jnp.zeros(2), jnp.eye(2))
+    model = mo.StateSpaceModel(law, mo.LinearGaussian(jnp.eye(2), jnp.eye(2)), mo.LinearGaussian(jnp.eye(2), jnp.eye(2)), ("px", "py"))
+    _, ys = mo.simulate(0, model, 12)
+    return mo.run(1, mo.ParticleFilter(n=30), model, ys)
+
+
+def png(figure):
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=40)
+    return picture.getvalue()
+
+
+def test_history(history):
+    figure = mo.plot(history, truth=np.zeros((12, 2)))
+    assert [axes.get_title() for axes in figure.axes] == ["px", "py", "effective sample size"]
+    band, mean = figure.axes[0].collections[0].get_paths()[0].vertices, figure.axes[0].lines[0].get_ydata()
+    np.testing.assert_allclose(mean, history.mean[:, 0])
+    np.testing.assert_allclose(band[:, 1].max(), np.max(history.mean[:, 0] + 2 * np.sqrt(history.cov[:, 0, 0])), rtol=1e-5)
+    assert png(figure)[:4] == b"\x89PNG"
+    assert len(mo.plot(history).axes[0].lines) == 1
+
+
+def test_wrong_results_are_refused(history):
+    with pytest.raises(mo.MotesError) as error:
+        mo.plot(3)
+    refused(error, "plot result", "int")
+    with pytest.raises(mo.MotesError) as error:
+        mo.plot(history, truth=np.zeros((3, 2)))
+    refused(error, "plot truth", "(12, 2)")
+
+
+def test_no_global_state(history):
+    import matplotlib.pyplot as pyplot
+
+    mo.plot(history)
+    assert pyplot.get_fignums() == []
+
+
+def test_terrain_pictures():
+    heights = np.add.outer(np.arange(30.0), np.arange(40.0))
+    heights[3, 4] = np.nan
+    terrain = TerrainMap(jnp.asarray(heights), 100.0, 80.0)
+    line = np.linspace(500, 1500, 20)
+    covs = np.tile(np.diag([400.0, 100.0]), (20, 1, 1))
+    figure = map_figure(terrain, Tracks((line, line + 100), (line, line), covs, (line, line + 5)))
+    axes = figure.axes[0]
+    assert axes.get_aspect() == 1 and axes.get_xlabel() == "east, km"
+    labels = {drawn.get_label(): drawn for drawn in axes.lines}
+    np.testing.assert_allclose(labels["inertial"].get_xdata(), (line + 100) / 1e3)
+    ellipse = axes.patches[0]
+    # the longer axis, 80 m, points north
+    assert sorted((ellipse.width, ellipse.height)) == pytest.approx([0.04, 0.08])
+    turned = ellipse.angle if ellipse.width > ellipse.height else ellipse.angle + 90
+    assert abs(np.sin(np.radians(turned))) == pytest.approx(1)
+    assert png(figure)[:4] == b"\x89PNG"
+    errors = error_figure(np.arange(20.0), {"one": line, "two": np.zeros(20)}, np.full(20, 30.0), 150.0)
+    assert errors.axes[0].get_yscale() == "log" and png(errors)[:4] == b"\x89PNG"
