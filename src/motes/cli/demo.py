@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from motes.cli.options import refuse
 
-DEMOS = {"terrain": "motes.cli.demo_terrain"}
+DEMOS = {"terrain": "motes.cli.demo_terrain", "robot": "motes.cli.demo_robot"}
 """Name of each demonstration to its module; the first is flown when none is named."""
 
 

@@ -74,8 +74,9 @@ def write_flight(flight: "Flight", settings: Demo, folder: Path) -> None:
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
     rows.writerow(COLUMNS)
-    inertial = flight.inputs
-    columns = (inertial.north, inertial.east, inertial.altitude, flight.ys[:, 0], flight.truth[:, 0], flight.truth[:, 1])
+    inertial, truth = flight.inputs, flight.truth
+    assert truth is not None
+    columns = (inertial.north, inertial.east, inertial.altitude, flight.ys[:, 0], truth[:, 0], truth[:, 1])
     for second, *values in zip(flight.seconds, *columns, strict=True):
         rows.writerow([f"{second:.3f}", *(f"{float(value):.3f}" for value in values)])
     write_text(folder / "flight.csv", table.getvalue())

@@ -33,7 +33,7 @@ def report() -> Iterator[tuple[str, str]]:
     yield "system", f"{platform.system()} {platform.release()} {platform.machine()}"
     yield "processors", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
     yield "devices", _devices()
-    yield "precision", "float64" if jax.config.jax_enable_x64 else "float32 (set JAX_ENABLE_X64=1 for float64)"
+    yield "precision", {"float64": "float64"}.get(str(jax.numpy.result_type(float)), "float32 (set JAX_ENABLE_X64=1 for float64)")
     place = compiled.private_folder()
     yield "compiled", str(place) if place else f"not kept: {compiled.folder()} cannot be used"
     for package, extra in sorted(packages().items()):

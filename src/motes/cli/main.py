@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 
 COMMANDS = {
-    "demo": "fly a demonstration: terrain",
+    "demo": "run a demonstration: terrain (the default) or robot",
     "run": "run a filter on your own map and measurements, as a TOML file says",
     "doctor": "print versions, devices and precision",
 }

@@ -32,7 +32,7 @@ class RangeOnlyRecording:
     drifting_path: np.ndarray
     ranges: np.ndarray
     beacons: np.ndarray
-    source: str = static("recording")
+    source: str = static(default="recording")
 
 
 def read_plaza(path: str | os.PathLike[str]) -> RangeOnlyRecording:

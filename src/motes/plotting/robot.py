@@ -1,51 +1,37 @@
 """Picture of a run of the range-only robot: the map, the error and the scale of the ranges."""
 
-import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from motes.core import checks
 from motes.filters.history import History
+from motes.plotting.figures import new_figure
 
 TRUE, ESTIMATED, RECKONED, BAND = "black", "tab:blue", "tab:orange", 0.25
 GAP = 10.0
 """Times without a range are shaded where they are longer than this, seconds."""
 
 
-def plot_robot(history: History, scenario: Any, path: str | os.PathLike[str]) -> Path:
+def robot_figure(history: History, scenario: Any) -> Any:
     """Draw tracks and beacons, position error against time, and the estimated scale against time; bands are two standard deviations.
 
     Args:
         history: a whole run, with means and covariances.
         scenario: the job that was run, with times, scored, truth, dead_reckoning, beacons and ys.
-        path: where to write; the ending decides the format.
 
     Returns:
-        The path.
+        A matplotlib `Figure`.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
-        FileError: the file cannot be written.
     """
-    checks.need("matplotlib", "results")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12, 6)
     axes = figure.subplot_mosaic([["map", "error"], ["map", "scale"]])
     _map(axes["map"], history, scenario)
     _error(axes["error"], history, scenario)
     _scale(axes["scale"], history, scenario)
     axes["scale"].sharex(axes["error"])
-    path = Path(path)
-    try:
-        figure.savefig(path, dpi=150)
-    except (OSError, ValueError) as reason:
-        checks.refuse(str(path), "a place and a format for a picture", " ".join(str(reason).split())[:200], error=checks.FileError)
-    return path
+    return figure
 
 
 def _map(axes: Any, history: History, scenario: Any) -> None:

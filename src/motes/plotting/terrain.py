@@ -51,7 +51,7 @@ def map_figure(terrain: TerrainMap, tracks: Tracks, title: str = "") -> Any:
     # the estimate usually settles soon: most ellipses belong to the beginning, where they can be seen
     last = len(tracks.covs) - 1
     for step in np.unique(np.geomspace(1, last + 1, ELLIPSES).astype(int)) - 1:
-        _ellipse(axes, tracks.estimate[0][step], tracks.estimate[1][step], tracks.covs[step])
+        _ellipse(axes, float(tracks.estimate[0][step]), float(tracks.estimate[1][step]), tracks.covs[step])
     axes.plot([], [], color=ESTIMATE, linewidth=1.0, label="2 sigma of the estimate")
     axes.set(aspect="equal", xlabel="east, km", ylabel="north, km", title=title, xlim=(west, east), ylim=(south, north))
     legend_below(figure, axes, 4)
