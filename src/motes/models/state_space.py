@@ -210,7 +210,7 @@ def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tup
 @partial(jax.jit, static_argnames=("steps",))
 def _simulate(key: jax.Array, model: StateSpaceModel, steps: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
     # a filter that is given the same key must not draw the truth as its first particle
-    key = random.child(key, random.MEASURE)
+    key = random.child(key, random.NOISE)
     separate = decorrelated(model)
     correlated = model.noise_cross_cov is not None
 
