@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from motes.filters.history import History
-from motes.plotting.figures import new_figure
+from motes.plotting.figures import ESTIMATE, INERTIAL, TRUE, legend_below, new_figure
 
-TRUE, ESTIMATED, RECKONED, BAND = "black", "tab:blue", "tab:orange", 0.25
+BAND = 0.25
 GAP = 10.0
 """Times without a range are shaded where they are longer than this, seconds."""
 
@@ -31,19 +31,19 @@ def robot_figure(history: History, scenario: Any) -> Any:
     _error(axes["error"], history, scenario)
     _scale(axes["scale"], history, scenario)
     axes["scale"].sharex(axes["error"])
+    legend_below(figure, axes["map"], 5)
     return figure
 
 
 def _map(axes: Any, history: History, scenario: Any) -> None:
     estimate = np.asarray(history.mean)[scenario.scored]
-    axes.plot(*scenario.dead_reckoning.T, color=RECKONED, lw=0.8, label="odometry alone")
+    axes.plot(*scenario.dead_reckoning.T, color=INERTIAL, lw=0.8, label="odometry alone")
     axes.plot(*scenario.truth[:, :2].T, color=TRUE, lw=1.6, label="truth (RTK GPS)")
-    axes.plot(estimate[:, 0], estimate[:, 1], color=ESTIMATED, lw=0.9, label="estimate")
+    axes.plot(estimate[:, 0], estimate[:, 1], color=ESTIMATE, lw=0.9, label="estimate")
     axes.plot(*scenario.beacons.T, "^", color="tab:red", ms=9, label="beacon")
     axes.plot(*scenario.truth[0, :2], "o", mfc="white", color=TRUE, ms=7, label="start")
     axes.set(title="Map", xlabel="x in m", ylabel="y in m", aspect="equal")
     axes.grid(alpha=0.3)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=5, frameon=False, fontsize="small", columnspacing=1.2)
 
 
 def _error(axes: Any, history: History, scenario: Any) -> None:
@@ -52,7 +52,7 @@ def _error(axes: Any, history: History, scenario: Any) -> None:
     error = np.hypot(*(mean[:, :2] - scenario.truth[:, :2]).T)
     claimed = np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
     rms = np.sqrt(np.mean(error**2))
-    axes.fill_between(times, 0, 2 * claimed, color=ESTIMATED, alpha=BAND, lw=0, label="two standard deviations")
+    axes.fill_between(times, 0, 2 * claimed, color=ESTIMATE, alpha=BAND, lw=0, label="two standard deviations")
     axes.plot(times, error, color=TRUE, lw=0.7, label="actual")
     measured = np.concatenate([[times[0]], scenario.times[~np.isnan(scenario.ys).all(axis=1)], [times[-1]]])
     for place, i in enumerate(np.flatnonzero(np.diff(measured) > GAP)):
@@ -68,8 +68,8 @@ def _scale(axes: Any, history: History, scenario: Any) -> None:
     place = history.names.index("scale")
     mean = 100 * np.asarray(history.mean)[:, place]
     spread = 200 * np.sqrt(np.asarray(history.cov)[:, place, place])
-    axes.fill_between(scenario.times, mean - spread, mean + spread, color=ESTIMATED, alpha=BAND, lw=0, label="two standard deviations")
-    axes.plot(scenario.times, mean, color=ESTIMATED, lw=1.2, label="estimate")
+    axes.fill_between(scenario.times, mean - spread, mean + spread, color=ESTIMATE, alpha=BAND, lw=0, label="two standard deviations")
+    axes.plot(scenario.times, mean, color=ESTIMATE, lw=1.2, label="estimate")
     # the prior is so wide that it would hide everything after the first seconds
     settled = scenario.times > 0.1 * scenario.times[-1]
     low, high = (mean - spread)[settled].min(), (mean + spread)[settled].max()
