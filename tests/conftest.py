@@ -7,6 +7,17 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import jax
 import pytest
 
+_seen = [0]
+
+
+@pytest.fixture(autouse=True)
+def _forget_programs():
+    """Drop compiled programs now and then: a process that keeps thousands runs out of memory maps."""
+    yield
+    _seen[0] += 1
+    if _seen[0] % 60 == 0:
+        jax.clear_caches()
+
 
 @pytest.fixture(params=["float32", "float64"])
 def precision(request):

@@ -1,5 +1,6 @@
 """What every filter must do, whatever its method. Filters are discovered; see discovery.py."""
 
+import dataclasses
 from itertools import product
 
 import jax
@@ -281,7 +282,8 @@ def test_extreme_weights_have_documented_outcomes(filter, case, collapses):
 def test_smallest_sizes(cls):
     """N8: one, two, three particles; one state; more measurements than states; one step."""
     ys = data(linear(range(3)), 4)
-    counts = [{"n": n} for n in (1, 2, 3)] if "n" in {f for f in getattr(cls, "__dataclass_fields__", {})} else [{}]
+    knobs_of = {field.name for field in dataclasses.fields(cls)}
+    counts = [{"n": n} for n in (1, 2, 3)] if "n" in knobs_of else [{}]
     for knobs in counts:
         filter = example(cls, **knobs, on_collapse="predict")
         history = mo.run(0, filter, linear(range(3)), ys)
@@ -289,7 +291,7 @@ def test_smallest_sizes(cls):
         assert mo.run(0, filter, linear(range(3)), ys[:1]).mean.shape == (1, 2)
     sensor = mo.LinearGaussian([[1.0], [0.5]], jnp.eye(2))
     scalar = mo.StateSpaceModel(mo.Gaussian([0.5], [[1.0]]), mo.LinearGaussian([[0.9]], [[0.5]]), sensor)
-    grid = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,)} if "nodes" in cls.__dataclass_fields__ else {}
+    grid = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,)} if "nodes" in knobs_of else {}
     assert mo.run(0, example(cls, **grid), scalar, np.ones((3, 2))).mean.shape == (3, 1)
 
 
@@ -310,4 +312,4 @@ def test_filter_is_a_value(filter):
     again = record.replace(filter)
     assert again == filter and hash(again) == hash(filter) and type(filter).__name__ in repr(filter)
     with pytest.raises(mo.MotesError, match="on_collapse: expected one of 'raise', 'predict', 'inflate', got 'ignore'"):
-        type(filter)(**{**{k: getattr(filter, k) for k in filter.__dataclass_fields__}, "on_collapse": "ignore"})
+        type(filter)(**{**record.values(filter), "on_collapse": "ignore"})

@@ -61,7 +61,7 @@ def joint_normal(parts, ys):
 @pytest.fixture
 def case(double):
     parts, model = four_states()
-    ys = np.array(mo.simulate(9, model, 15)[1])
+    ys = np.array(mo.simulate(3, model, 15)[1])
     ys[4] = np.nan
     ys[7, 1] = np.nan
     return parts, model, ys

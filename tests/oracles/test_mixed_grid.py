@@ -130,7 +130,7 @@ def answers():
         found = {}
         for name, parts in cases().items():
             model = library_model(parts)
-            ys = np.array(mo.simulate(22, model, STEPS)[1])
+            ys = np.array(mo.simulate(32, model, STEPS)[1])
             ys[3] = np.nan
             found[name] = (model, ys, grid_answer(parts, ys))
         return found

@@ -58,7 +58,8 @@ def main(words: Sequence[str]) -> None:
     running.check_folder(settings.out)
     scenario = job.load(settings.data, settings.odometry)
     chosen = build(FilterChoice(n=settings.n, linear=settings.linear))
-    outcome = running.race(settings.seed, {"marginalized": chosen}, scenario.model, jax.numpy.asarray(scenario.ys), scenario.inputs)["marginalized"]
+    ys = jax.numpy.asarray(scenario.ys)
+    outcome = running.race(settings.seed, {"marginalized": chosen}, scenario.model, ys, scenario.inputs)["marginalized"]
     score = job.score(outcome.history, scenario)
     alone = float(((scenario.dead_reckoning - scenario.truth[:, :2]) ** 2).sum(axis=1).mean() ** 0.5)
     found = running.results(outcome) | {f"{name}_m": float(getattr(score, name)) for name in ("rms", "worst", "final")}

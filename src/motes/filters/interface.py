@@ -57,8 +57,7 @@ def weigh(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array)
     log_likelihood = jnp.where(invalid, -jnp.inf, log_likelihood)
     weights, log_evidence = logspace.normalize(log_weights + log_likelihood)
     highest = jnp.max(log_likelihood)
-    top = jnp.max(ceiling)
-    hopeless = jnp.isfinite(top) & (highest < top - HOPELESS)
+    hopeless = jnp.min(jnp.where(jnp.isfinite(ceiling), ceiling - log_likelihood, 0)) > HOPELESS
     unresolved = jnp.abs(highest) * jnp.finfo(weights.dtype).eps > 1
     info = Info(
         log_evidence=log_evidence,

@@ -8,7 +8,6 @@
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
@@ -90,9 +89,10 @@ class ParticleFilter(TwoStageFilter):
         cloud = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
         noise_key = random.child(predict_key, random.NOISE)
         moved = self.proposal.sample(noise_key, cloud.particles, (u, y), t)
-        likelihood = model.sensor.log_prob(y, moved, u, t)
-        correction = model.dynamics.log_prob(moved, cloud.particles, u, t) - self.proposal.log_prob(moved, cloud.particles, (u, y), t)
-        weights, info = weigh(cloud.log_weights, likelihood + correction, jnp.full((), jnp.inf, likelihood.dtype))
+        proposed = self.proposal.log_prob(moved, cloud.particles, (u, y), t)
+        likelihood = model.sensor.log_prob(y, moved, u, t) + model.dynamics.log_prob(moved, cloud.particles, u, t) - proposed
+        ceiling = model.sensor.ceiling(y, moved, u, t) + model.dynamics.ceiling(moved, cloud.particles, u, t) - proposed
+        weights, info = weigh(cloud.log_weights, likelihood, ceiling)
         after = replace(cloud, particles=moved, log_weights=weights)
         blind = replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
         return self.settle(blind, after, info, y)

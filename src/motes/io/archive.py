@@ -5,7 +5,7 @@ import io
 import json
 import os
 import platform
-import tempfile
+import secrets
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -45,9 +45,10 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     """
     temporary = None
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name[:80]}.", delete=False) as file:
-            temporary = Path(file.name)
-            yield file  # type: ignore[misc]
+        name = path.with_name(f".{path.name[:80]}.{secrets.token_hex(8)}")
+        with name.open("xb") as file:
+            temporary = name
+            yield file
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, static
@@ -79,10 +80,10 @@ def wrap(difference: jax.Array, angles: tuple[int, ...]) -> jax.Array:
     """Wrap the named rows of differences `(z, *n)` to (-pi, pi]; radians."""
     if not angles:
         return difference
-    turn = 2 * jnp.pi
-    rows = jnp.asarray(angles)
-    wrapped = difference[rows] - turn * jnp.ceil(difference[rows] / turn - 0.5)
-    return difference.at[rows].set(wrapped)
+    turn = 2 * np.pi
+    circular = np.isin(np.arange(difference.shape[0]), np.array(angles) % difference.shape[0])
+    wrapped = difference - turn * jnp.ceil(difference / turn - 0.5)
+    return jnp.where(circular.reshape(-1, *([1] * (difference.ndim - 1))), wrapped, difference)
 
 
 def check_function(argument: str, value: Any) -> None:
