@@ -76,7 +76,7 @@ def normal(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Arra
         return (np.sqrt(2) * jax.lax.erf_inv(centered)).reshape(shape)
     rows = int(np.prod(shape[:-1], dtype=np.int64))
     pairs = (rows + 1) // 2
-    if pairs <= _ROWS_APART:
+    if 0 < pairs <= _ROWS_APART:
         # row by row: compilers then share the rows out over threads, a quarter faster than one block
         lines = [word for pair in range(pairs) for word in _words(key, (shape[-1],), np.uint32(pair))]
         return jnp.stack([_to_normal(line) for line in lines[:rows]]).reshape(shape).astype(dtype)
