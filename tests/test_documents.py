@@ -1,0 +1,41 @@
+"""The README's example runs as it stands and prints what it says; names in the documents exist."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+import motes as mo
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def test_readme_example(tmp_path, capsys):
+    code, *_ = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    script = tmp_path / "example.py"
+    script.write_text(code)
+    names = runpy.run_path(str(script))
+    assert names["history"].mean.shape == (100, 6)
+    printed = capsys.readouterr().out.strip()
+    assert printed in (ROOT / "README.md").read_text()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_public_names_exist(document):
+    for name in set(re.findall(r"\bmo\.([A-Za-z_]+)", document.read_text())):
+        assert hasattr(mo, name), name
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_files_named_in_documents_exist(document):
+    for link in re.findall(r"\]\(([^)#]+)\)", document.read_text()):
+        if "://" not in link:
+            assert (document.parent / link).exists(), link
+
+
+def test_every_public_name_is_documented():
+    for name in mo.__all__:
+        value = getattr(mo, name)
+        assert getattr(value, "__doc__", None), name
