@@ -38,7 +38,8 @@ def drive(path, seeds, n=1_000):
         rms, scale = (np.array([getattr(score, name) for score in scores]) for name in ("rms", "scale"))
         seconds = (time.perf_counter() - started) / seeds
         print(
-            f"robot, {odometry} odometry, n = {n}, {seeds} seeds: RMS {rms.mean():.3f} m (sd {rms.std(ddof=1):.3f}, worst {rms.max():.3f}), "
+            f"robot, {odometry} odometry, n = {n}, {seeds} seeds: "
+            f"RMS {rms.mean():.3f} m (sd {rms.std(ddof=1):.3f}, worst {rms.max():.3f}), "
             f"scale {scale.mean():.4f} ({scale.min():.4f} to {scale.max():.4f}), {seconds:.1f} s a run"
         )
 

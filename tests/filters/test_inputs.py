@@ -1,0 +1,100 @@
+"""Inputs of steps, correlated noises and custom parts: the stream must see what the run sees."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import motes as mo
+
+FILTERS = [mo.ExtendedKalmanFilter(), mo.ParticleFilter(n=100), mo.MarginalizedParticleFilter(n=100)]
+
+
+def driven_model(**changes):
+    """A cart with commanded acceleration over uneven time steps; the noise grows with the step."""
+
+    def f(x, u, t):
+        return jnp.array([x[0] + u["dt"] * x[1], x[1] + u["dt"] * u["command"] - 0.01 * t])
+
+    def Q(x, u, t):
+        return u["dt"] * jnp.array([[0.1, 0.02], [0.02, 0.2]])
+
+    return mo.StateSpaceModel(
+        mo.Gaussian([0.0, 1.0], 0.5 * np.eye(2)),
+        mo.AdditiveGaussian(f, Q),
+        mo.AdditiveGaussian(lambda x, u, t: jnp.array([x[0] + 0.1 * jnp.sin(x[0]), x[0] + u["dt"]]), [[0.3, 0.1], [0.1, 0.4]]),
+        ("p", "v"),
+        **changes,
+    )
+
+
+def inputs(steps):
+    rng = np.random.default_rng(0)
+    return {"dt": jnp.asarray(rng.uniform(0.5, 1.5, steps), jnp.float32), "command": jnp.asarray(rng.normal(size=steps), jnp.float32)}
+
+
+@pytest.mark.parametrize("cross", [None, [[0.05, 0.02], [0.0, -0.03]]], ids=["independent", "correlated noises"])
+@pytest.mark.parametrize("filter", FILTERS, ids=lambda f: type(f).__name__)
+def test_stream_equals_run_with_inputs(filter, cross):
+    model, u = driven_model(noise_cross_cov=cross), inputs(8)
+    ys = np.array(mo.simulate(3, model, 8, u)[1])
+    ys[3] = np.nan
+    history = mo.run(5, filter, model, ys, u)
+    stream = mo.stream(5, filter, model, jax.tree.map(lambda leaf: leaf[0], u))
+    stream.update(ys[0])
+    for t in range(1, 8):
+        stream.predict(jax.tree.map(lambda leaf, t=t: leaf[t], u))
+        if t != 3:
+            stream.update(ys[t])
+    assert np.array_equal(history.mean[-1], stream.mean)
+    assert float(history.log_likelihood) == float(stream.log_likelihood)
+    pieces = list(mo.run_in_chunks(5, filter, model, ys, u, chunk=3))
+    assert np.array_equal(mo.joined(pieces).mean, history.mean)
+
+
+def test_checkpoint_with_inputs(tmp_path):
+    model, u = driven_model(), inputs(4)
+    ys = mo.simulate(3, model, 4, u)[1]
+    stream = mo.stream(5, FILTERS[1], model, jax.tree.map(lambda leaf: leaf[0], u))
+    stream.update(ys[0])
+    again = mo.Stream.load(stream.save(tmp_path / "c.npz"), FILTERS[1], model)
+    for one in (stream, again):
+        one.predict(jax.tree.map(lambda leaf: leaf[1], u))
+        one.update(ys[1])
+    assert np.array_equal(stream.mean, again.mean)
+
+
+def test_custom_model_equals_its_additive_twin():
+    """The same law written as Custom functions: densities agree, and a filter runs on it."""
+    twin = driven_model()
+    root = jnp.linalg.cholesky(jnp.array([[0.1, 0.02], [0.02, 0.2]]))
+
+    def sample(key, x, u, t):
+        return twin.dynamics.mean(x, u, t) + jnp.sqrt(u["dt"]) * root @ jax.random.normal(key, (2,))
+
+    def log_prob(y, x, u, t):
+        return jax.scipy.stats.multivariate_normal.logpdf(y, twin.sensor.mean(x, u, t), jnp.asarray(twin.sensor.Q))
+
+    model = mo.StateSpaceModel(twin.initial, mo.Custom(sample=sample), mo.Custom(log_prob=log_prob), ("p", "v"))
+    u = inputs(10)
+    ys = mo.simulate(0, twin, 10, u)[1]
+    X = twin.initial.sample(jax.random.key(0), 7)
+    first = jax.tree.map(lambda leaf: leaf[0], u)
+    assert np.allclose(model.sensor.log_prob(ys[0], X, first, 0), twin.sensor.log_prob(ys[0], X, first, 0), atol=1e-4)
+    ours, theirs = (mo.run(1, mo.ParticleFilter(n=20_000), m, ys, u) for m in (model, twin))
+    assert np.abs(ours.mean - theirs.mean).max() < 0.05
+    assert mo.structure(model, first).linear == ()
+
+
+def test_noise_of_another_law_is_split_where_it_can_be():
+    """A sensor with Student-t noise that sees only the position leaves the velocity to the Kalman part."""
+    model = mo.StateSpaceModel(
+        mo.Gaussian([0.0, 1.0], np.eye(2)), mo.LinearGaussian([[1.0, 0.5], [0.0, 0.9]], 0.1 * np.eye(2)),
+        mo.AdditiveNoise(lambda x, u, t: x[:1], mo.StudentT([0.3], 4.0)), ("p", "v"))
+    found = mo.structure(model)
+    assert found.linear == (1,) and dict(found.reasons)["p"] == "sensor has noise that is not additive Gaussian"
+    ys = mo.simulate(0, model, 20)[1]
+    exact = mo.run(0, mo.PointMassFilter((-8, -6), (14, 8), (91, 61)), model, ys)
+    ours = mo.run(0, mo.MarginalizedParticleFilter(n=20_000), model, ys)
+    assert np.abs(ours.mean - exact.mean).max() < 0.05
+    assert abs(float(ours.log_likelihood - exact.log_likelihood)) < 0.15
