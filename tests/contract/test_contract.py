@@ -104,10 +104,10 @@ def test_cut_and_continued_equals_uncut(filter, precision):
     model = linear()
     ys = data(model)
     whole = mo.run(3, filter, model, ys)
-    first = mo.run(3, filter, model, ys[:5])
-    rest = mo.run(3, filter, model, ys[5:], after=first)
+    first = mo.run(3, filter, model, ys[: STEPS // 2])
+    rest = mo.run(3, filter, model, ys[STEPS // 2 :], after=first)
     assert same_bits(mo.joined([first, rest]), whole)
-    assert same_bits(mo.joined(list(mo.run_in_chunks(3, filter, model, ys, chunk=4))), whole)
+    assert same_bits(mo.joined(list(mo.run_in_chunks(3, filter, model, ys, chunk=STEPS // 2))), whole)
 
 
 @each_filter()
