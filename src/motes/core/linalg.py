@@ -4,6 +4,8 @@ Loops over the small axes are written out at trace time, so that each line of th
 with and without the particle axis mix freely; a result has the axis when an operand has it.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 from jax.lax import Precision
@@ -75,6 +77,18 @@ def sandwich(a: jax.Array, p: jax.Array) -> jax.Array:
 def identity_like(a: jax.Array) -> jax.Array:
     """Identity matrix `(i, i)` of the size and type of a."""
     return jnp.eye(a.shape[0], dtype=a.dtype)
+
+
+def take(a: jax.Array, indices: Sequence[int], axis: int = 0) -> jax.Array:
+    """Pick rows (or columns, by the axis) at indices known now, as slices, which compilers fuse with what follows; a gather they do not."""
+    runs: list[list[int]] = []
+    for i in indices:
+        if runs and i == runs[-1][1]:
+            runs[-1][1] = i + 1
+        else:
+            runs.append([i, i + 1])
+    slices = [jax.lax.slice_in_dim(a, first, end, axis=axis) for first, end in runs]
+    return jnp.concatenate(slices or [jax.lax.slice_in_dim(a, 0, 0, axis=axis)], axis=axis)
 
 
 def cholesky(a: jax.Array) -> jax.Array:

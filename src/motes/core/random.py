@@ -79,10 +79,11 @@ def normal(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Arra
     if 0 < pairs <= _ROWS_APART:
         # row by row: compilers then share the rows out over threads, a quarter faster than one block
         lines = [word for pair in range(pairs) for word in _words(key, (shape[-1],), np.uint32(pair))]
-        return jnp.stack([_to_normal(line) for line in lines[:rows]]).reshape(shape).astype(dtype)
+        numbers = jnp.stack([_to_normal(line) for line in lines[:rows]])
+        return jax.lax.optimization_barrier(numbers).reshape(shape).astype(dtype)
     first, second = _words(key, (pairs, shape[-1]))
     bits = jnp.stack([first, second], axis=1).reshape(-1, shape[-1])[:rows]
-    return _to_normal(bits).reshape(shape).astype(dtype)
+    return jax.lax.optimization_barrier(_to_normal(bits)).reshape(shape).astype(dtype)
 
 
 def _to_normal(bits: jax.Array) -> jax.Array:
@@ -105,7 +106,7 @@ def _words(key: jax.Array, shape: tuple[int, ...], tag: np.uint32 = np.uint32(0)
     lines = jnp.arange(rows, dtype=jnp.uint32)[:, None] ^ tag
     data = jax.random.key_data(key)
     words = _threefry(data[0], data[1], jnp.broadcast_to(counters, (rows, shape[-1])), lines)
-    # without the barrier compilers work the twenty rounds out again in every loop that uses the numbers
+    # without barriers, here and behind the normal numbers, compilers work them out again in every loop that uses them
     first, second = jax.lax.optimization_barrier(words)
     return first.reshape(shape), second.reshape(shape)
 

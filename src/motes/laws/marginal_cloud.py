@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from motes.core import logspace, random
+from motes.core import linalg, logspace, random
 from motes.core.record import record, replace, static
 from motes.laws.cloud import Cloud, draw, weighted_cov, weighted_mean
 from motes.laws.gaussian import Gaussian
@@ -34,7 +34,7 @@ class MarginalCloud(Law):
         return jnp.exp(self.log_weights)
 
     def _points(self) -> jax.Array:
-        return jnp.concatenate([self.particles, self.kalman.center])[jnp.asarray(self.order)]
+        return linalg.take(self._concatenated(), self.order)
 
     def mean(self) -> jax.Array:
         """Mean of all states in the user's order, `(x,)`."""
@@ -45,15 +45,14 @@ class MarginalCloud(Law):
         p = self.particles.shape[0]
         within = self.kalman.covariance
         inside = within @ self.weights if within.ndim == 3 else within
-        order = jnp.asarray(self.order)
         padded = jnp.zeros((len(self.order),) * 2, inside.dtype).at[p:, p:].set(inside)
-        return weighted_cov(self._points(), self.weights) + padded[order][:, order]
+        return weighted_cov(self._points(), self.weights) + linalg.take(linalg.take(padded, self.order), self.order, axis=1)
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points of all states in the user's order, `(x, n)`."""
         chosen = self.picked(draw(random.child(key, 0), self.log_weights, n))
         x_k = chosen.kalman.sample(random.child(key, 1), n)
-        return jnp.concatenate([chosen.particles, x_k])[jnp.asarray(self.order)]
+        return linalg.take(jnp.concatenate([chosen.particles, x_k]), self.order)
 
     def picked(self, ancestors: jax.Array) -> "MarginalCloud":
         """Return the cloud of the named particles `(n,)` with their Gaussians, equal weights."""

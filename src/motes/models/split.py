@@ -11,7 +11,7 @@ from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
-from motes.models.mixed_linear import Affine, MixedLinearModel
+from motes.models.mixed_linear import Affine, MixedLinearModel, user_order
 from motes.models.state_space import StateSpaceModel
 from motes.models.structure import Traced, clash, largest, mixed_uses, trace, varying
 
@@ -42,7 +42,7 @@ class SplitModel:
     def whole(self, X_p: jax.Array) -> jax.Array:
         """Full states `(x, n)` with zeros for the Kalman part, for a sensor that does not see it."""
         zeros = jnp.zeros((len(self.mixed.linear), X_p.shape[-1]), X_p.dtype)
-        return jnp.concatenate([X_p, zeros])[jnp.asarray(self.mixed.order)]
+        return linalg.take(jnp.concatenate([X_p, zeros]), self.mixed.order)
 
     def over(self, part: str, X_p: jax.Array, u: Any, t: Any) -> Affine:
         """Evaluate one of "particle", "kalman", "sensor" over the cloud: f `(z, n)`, A and Q with or without the particle axis."""
@@ -111,31 +111,34 @@ def _asked_for(traced: Traced, model: StateSpaceModel, linear: tuple[str | int, 
 
 def _mixed(model: StateSpaceModel, linear: tuple[int, ...]) -> MixedLinearModel:
     """Build the mixed linear model; slopes are Jacobians, exact because the functions are affine in the chosen states."""
-    own = np.array([i for i in range(model.size) if i not in linear], int)
-    other = np.array(linear, int)
+    own = tuple(i for i in range(model.size) if i not in linear)
+    other = linear
+    order = user_order(linear, model.size)
 
     def evaluate(part: AdditiveGaussian, x_p: jax.Array, u: Any, t: Any) -> Affine:
         def mean(x_k: jax.Array) -> jax.Array:
-            x = jnp.zeros((model.size,), x_p.dtype).at[own].set(x_p).at[other].set(x_k)
-            return part.mean(x, u, t)
+            return part.mean(linalg.take(jnp.concatenate([x_p, x_k]), order), u, t)
 
         nothing = jnp.zeros((len(linear),), x_p.dtype)
-        x = jnp.zeros((model.size,), x_p.dtype).at[own].set(x_p)
+        x = linalg.take(jnp.concatenate([x_p, nothing]), order)
         return Affine(mean(nothing), jax.jacfwd(mean)(nothing), part.cov(x, u, t))
 
-    def rows(part: Any, keep: np.ndarray, x_p: jax.Array, u: Any, t: Any) -> Affine:
+    def rows(part: Any, keep: tuple[int, ...], x_p: jax.Array, u: Any, t: Any) -> Affine:
         f, A, Q = evaluate(part, x_p, u, t)
-        return Affine(f[keep], A[keep], Q[keep][:, keep])
+        return Affine(linalg.take(f, keep), linalg.take(A, keep), linalg.take(linalg.take(Q, keep), keep, axis=1))
+
+    def cross_cov(x_p: jax.Array, u: Any, t: Any) -> jax.Array:
+        return linalg.take(linalg.take(rows(dynamics, tuple(range(model.size)), x_p, u, t).Q, own), other, axis=1)
 
     dynamics, sensor = model.dynamics, model.sensor
-    initial_p, initial_k, gain = _initial_parts(model, own, other)
+    initial_p, initial_k, gain = _initial_parts(model, np.array(own, int), np.array(other, int))
     return MixedLinearModel(
         initial_p,
         initial_k,
         particle=lambda x_p, u, t: rows(dynamics, own, x_p, u, t),
         kalman=lambda x_p, u, t: rows(dynamics, other, x_p, u, t),
         sensor=lambda x_p, u, t: evaluate(sensor, x_p, u, t),  # type: ignore[arg-type]
-        cross_cov=(lambda x_p, u, t: evaluate(dynamics, x_p, u, t).Q[own][:, other]) if len(own) and len(other) else None,  # type: ignore[arg-type]
+        cross_cov=cross_cov if len(own) and len(other) else None,
         initial_gain=gain,
         angles=sensor.angles,
         linear=linear,
