@@ -7,14 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 
 KeyLike = Key[Array, ""] | int
-Vector = Float[Array, " x"]
-Matrix = Float[Array, "x x"]
-Particles = Float[Array, "x n"]
 LogWeights = Float[Array, " n"]
-Ancestors = Int[Array, " n"]
 Scalar = Float[Array, ""]
 Inputs = Any
 """What the user gives per step: any tree of arrays with the time axis first, or None."""

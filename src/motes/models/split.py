@@ -34,11 +34,6 @@ class SplitModel:
     per_particle: bool = static()
     drives: bool = static()
 
-    @property
-    def measures_linear(self) -> bool:
-        """Whether the sensor sees the Kalman part."""
-        return self.likelihood is None
-
     def whole(self, X_p: jax.Array) -> jax.Array:
         """Full states `(x, n)` with zeros for the Kalman part, for a sensor that does not see it."""
         zeros = jnp.zeros((len(self.mixed.linear), X_p.shape[-1]), X_p.dtype)
