@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from motes.core import engine
 from motes.core.record import record
 from motes.core.types import LogWeights, Scalar
 
@@ -14,6 +15,28 @@ def normalize(log_weights: LogWeights) -> tuple[LogWeights, Scalar]:
     log_sum = jnp.log(jnp.sum(jnp.exp(log_weights - anchor)))
     # the anchor goes first: a large common offset would round the small differences away
     return (log_weights - anchor) - log_sum, anchor + log_sum
+
+
+@engine.replaceable
+def joint_weights(log_weights: LogWeights, log_likelihood: LogWeights, ceiling: jax.Array) -> tuple[LogWeights, jax.Array]:
+    """Multiply weights by likelihoods; a likelihood that is not a number counts as zero.
+
+    Args:
+        log_weights: normalized, `(n,)`.
+        log_likelihood: `(n,)`.
+        ceiling: largest value the log likelihood can take, `()` or `(n,)`; infinite when not known.
+
+    Returns:
+        Normalized log weights `(n,)`, and six numbers `(6,)`: the log of the sum of weights times likelihoods, the effective sample size,
+        the count of likelihoods that are not a number, the smallest and the largest log likelihood, and the smallest distance of one
+        from its ceiling.
+    """
+    invalid = jnp.isnan(log_likelihood)
+    log_likelihood = jnp.where(invalid, -jnp.inf, log_likelihood)
+    weights, log_evidence = normalize(log_weights + log_likelihood)
+    gap = jnp.min(jnp.where(jnp.isfinite(ceiling), ceiling - log_likelihood, 0))
+    numbers = (log_evidence, effective_size(weights), jnp.sum(invalid, dtype=weights.dtype), jnp.min(log_likelihood), jnp.max(log_likelihood), gap)
+    return weights, jnp.stack(numbers)
 
 
 def uniform_weights(n: int, dtype: jnp.dtype) -> LogWeights:

@@ -5,10 +5,13 @@ output words are used. The number for particle i in row r depends on the key, i 
 on how they are shared out over devices. This is the only file that derives keys.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from motes.core import engine
 from motes.core.checks import refuse
 from motes.core.types import KeyLike
 
@@ -70,20 +73,34 @@ def normal(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Arra
     float32 reaches 5.4 standard deviations; float64 uses 64 random bits a number.
     """
     if dtype == jnp.float64:
-        first, second = _words(key, shape)
+        first, second = _words(jax.random.key_data(key), shape)
         bits = jax.lax.bitcast_convert_type((first.astype(jnp.uint64) << 32) | second.astype(jnp.uint64), jnp.int64)
         centered = jnp.clip(bits.astype(jnp.float64) * 2.0**-63, -1 + 2.0**-53, 1 - 2.0**-53)
         return (np.sqrt(2) * jax.lax.erf_inv(centered)).reshape(shape)
     rows = int(np.prod(shape[:-1], dtype=np.int64))
+    return _normal_numbers(jax.random.key_data(key), rows, shape[-1], engine.chosen()).reshape(shape).astype(dtype)
+
+
+@partial(jax.jit, static_argnums=(1, 2, 3))
+def _normal_numbers(key: jax.Array, rows: int, n: int, engine: str) -> jax.Array:
+    # a jitted function keeps its name in traced programs, where the native engine looks for it; the engine is part of what is compiled
+    return normal_block(key, rows, n)
+
+
+NORMAL = _normal_numbers.__name__
+
+
+@engine.replaceable
+def normal_block(key: jax.Array, rows: int, n: int) -> jax.Array:
+    """Draw standard normal numbers `(rows, n)` in float32 from the data of a key, `(2,)`."""
     pairs = (rows + 1) // 2
     if 0 < pairs <= _ROWS_APART:
         # row by row: compilers then share the rows out over threads, a quarter faster than one block
-        lines = [word for pair in range(pairs) for word in _words(key, (shape[-1],), np.uint32(pair))]
-        numbers = jnp.stack([_to_normal(line) for line in lines[:rows]])
-        return jax.lax.optimization_barrier(numbers).reshape(shape).astype(dtype)
-    first, second = _words(key, (pairs, shape[-1]))
-    bits = jnp.stack([first, second], axis=1).reshape(-1, shape[-1])[:rows]
-    return jax.lax.optimization_barrier(_to_normal(bits)).reshape(shape).astype(dtype)
+        lines = [word for pair in range(pairs) for word in _words(key, (n,), np.uint32(pair))]
+        return jax.lax.optimization_barrier(jnp.stack([_to_normal(line) for line in lines[:rows]]))
+    first, second = _words(key, (pairs, n))
+    bits = jnp.stack([first, second], axis=1).reshape(-1, n)[:rows]
+    return jax.lax.optimization_barrier(_to_normal(bits))
 
 
 def _to_normal(bits: jax.Array) -> jax.Array:
@@ -93,19 +110,28 @@ def _to_normal(bits: jax.Array) -> jax.Array:
 
 def uniform(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
     """Draw uniform numbers in [0, 1), particle axis last."""
-    first, second = _words(key, shape or (1,), _UNIFORM_TAG)
+    rows = int(np.prod(shape[:-1], dtype=np.int64))
+    return _uniform_numbers(jax.random.key_data(key), rows, shape[-1] if shape else 1, dtype).reshape(shape).astype(dtype)
+
+
+@partial(jax.jit, static_argnums=(1, 2, 3))
+def _uniform_numbers(key: jax.Array, rows: int, n: int, dtype: jnp.dtype) -> jax.Array:
+    first, second = _words(key, (rows, n), _UNIFORM_TAG)
     if dtype == jnp.float64:
         high, low = (first >> 5).astype(dtype), (second >> 6).astype(dtype)
-        return ((high * 2.0**26 + low) * 2.0**-53).reshape(shape)
-    return ((first >> 8).astype(jnp.float32) * np.float32(2.0**-24)).reshape(shape).astype(dtype)
+        return (high * 2.0**26 + low) * 2.0**-53
+    return (first >> 8).astype(jnp.float32) * np.float32(2.0**-24)
+
+
+UNIFORM = _uniform_numbers.__name__
+"""Names under which blocks of random numbers stand in traced programs."""
 
 
 def _words(key: jax.Array, shape: tuple[int, ...], tag: np.uint32 = np.uint32(0)) -> tuple[jax.Array, jax.Array]:  # noqa: B008
     rows = int(np.prod(shape[:-1], dtype=np.int64))
     counters = jnp.arange(shape[-1], dtype=jnp.uint32)[None, :]
     lines = jnp.arange(rows, dtype=jnp.uint32)[:, None] ^ tag
-    data = jax.random.key_data(key)
-    words = _threefry(data[0], data[1], jnp.broadcast_to(counters, (rows, shape[-1])), lines)
+    words = _threefry(key[0], key[1], jnp.broadcast_to(counters, (rows, shape[-1])), lines)
     # without barriers, here and behind the normal numbers, compilers work them out again in every loop that uses them
     first, second = jax.lax.optimization_barrier(words)
     return first.reshape(shape), second.reshape(shape)

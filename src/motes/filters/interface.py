@@ -1,7 +1,8 @@
 """The contract of a filter: a frozen record of its own knobs that maps a law to a law. The model is an argument, never a field."""
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,11 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
+from motes.native import cloudwise
+from motes.resampling.policy import Policy, Weighted, resample
+from motes.resampling.schemes import Scheme
+
+C = TypeVar("C", bound=Weighted)
 
 HOPELESS = 1e4
 """A measurement this many nats below a perfect fit (141 standard deviations) for the best particle counts as a collapse."""
@@ -53,27 +59,51 @@ def weigh(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array)
     Returns:
         Normalized log weights `(n,)` (not usable where collapsed) and the record of the step.
     """
-    invalid = jnp.isnan(log_likelihood)
-    log_likelihood = jnp.where(invalid, -jnp.inf, log_likelihood)
-    weights, log_evidence = logspace.normalize(log_weights + log_likelihood)
-    highest = jnp.max(log_likelihood)
-    hopeless = jnp.min(jnp.where(jnp.isfinite(ceiling), ceiling - log_likelihood, 0)) > HOPELESS
-    unresolved = jnp.abs(highest) * jnp.finfo(weights.dtype).eps > 1
-    info = Info(
-        log_evidence=log_evidence,
-        ess=logspace.effective_size(weights),
-        collapsed=~jnp.isfinite(log_evidence) | hopeless | unresolved,
-        invalid=jnp.sum(invalid, dtype=jnp.int32),
-        lowest=jnp.min(log_likelihood),
-        highest=highest,
-    )
-    return weights, info
+    weights, found = logspace.joint_weights(log_weights, log_likelihood, ceiling)
+    return weights, judged(found)
+
+
+def judged(found: jax.Array) -> Info:
+    """Return the record of a step from the six numbers of `logspace.joint_weights`."""
+    log_evidence, ess, invalid, lowest, highest, gap = found
+    unresolved = jnp.abs(highest) * jnp.finfo(found.dtype).eps > 1
+    collapsed = ~jnp.isfinite(log_evidence) | (gap > HOPELESS) | unresolved
+    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest)
 
 
 def single(log_evidence: jax.Array, peak: jax.Array) -> Info:
     """Return the record of a step of a filter whose law has no weights."""
     _, info = weigh(jnp.zeros((1,), log_evidence.dtype), log_evidence[None], peak)
     return replace(info, ess=jnp.full_like(log_evidence, jnp.inf))
+
+
+def evolve(keys: tuple[jax.Array, jax.Array], scheme: Scheme, policy: Policy, cloud: C, move: Callable[[jax.Array, C], C]) -> C:
+    """Resample a cloud where the policy says so, then move it.
+
+    Args:
+        keys: for resampling, and for the noise.
+        scheme: how ancestors are drawn.
+        policy: when to resample.
+        cloud: law of n weighted particles.
+        move: from the key of the noise and the cloud to the moved cloud, each particle on its own.
+    """
+    moved = cloudwise.evolve(keys, scheme, policy, cloud, move)
+    return move(keys[1], resample(keys[0], scheme, policy, cloud)) if moved is None else moved
+
+
+def reweigh(cloud: C, judge: Callable[[C], tuple[C, jax.Array, jax.Array]]) -> tuple[C, Info]:
+    """Correct a cloud and weigh its particles by a measurement.
+
+    Args:
+        cloud: law of n weighted particles.
+        judge: gives the corrected cloud, the log likelihood of each particle `(n,)` and its ceiling (see `weigh`), each particle on its own.
+    """
+    native = cloudwise.reweigh(cloud, judge)
+    if native is not None:
+        return native[0], judged(native[1])
+    after, likelihood, ceiling = judge(cloud)
+    weights, info = weigh(cloud.log_weights, likelihood, ceiling)
+    return replace(after, log_weights=weights), info
 
 
 @record
@@ -137,7 +167,8 @@ class Filter(ABC):
         state = jax.tree.map(lambda old, new: jnp.where(refused, old, new), fallback, after)
         silent = {name: jnp.where(missing, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest")}
         if hasattr(before, "log_weights"):
-            silent["ess"] = jnp.where(refused, logspace.effective_size(before.log_weights), info.ess)
+            old = logspace.effective_size
+            silent["ess"] = jax.lax.cond(refused, lambda weights, ess: old(weights), lambda weights, ess: ess, before.log_weights, info.ess)
         return state, replace(info, collapsed=info.collapsed & ~missing, **silent)
 
 

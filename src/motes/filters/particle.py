@@ -11,7 +11,7 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_state_space, weigh
+from motes.filters.interface import Info, TwoStageFilter, as_state_space, evolve, reweigh, weigh
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional, Custom
 from motes.models.state_space import StateSpaceModel
@@ -72,14 +72,20 @@ class ParticleFilter(TwoStageFilter):
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
         """Resample where needed, then move by the dynamics."""
-        cloud = resample(random.child(key, random.RESAMPLE), self.scheme, self.policy, state)
-        return replace(cloud, particles=model.dynamics.sample(random.child(key, random.NOISE), cloud.particles, u, t))
+
+        def move(noise_key: jax.Array, cloud: Cloud) -> Cloud:
+            return replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
+
+        keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
+        return evolve(keys, self.scheme, self.policy, state, move)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
-        likelihood = model.sensor.log_prob(y, state.particles, u, t)
-        weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
-        return replace(state, log_weights=weights), info
+
+        def judge(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
+            return cloud, model.sensor.log_prob(y, cloud.particles, u, t), model.sensor.ceiling(y, cloud.particles, u, t)
+
+        return reweigh(state, judge)
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Go to the next time t and take in its measurement."""

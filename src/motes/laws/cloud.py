@@ -3,20 +3,18 @@
 import jax
 import jax.numpy as jnp
 
-from motes.core import logspace, random
+from motes.core import engine, logspace, random
 from motes.core.record import record, replace
 from motes.laws.law import Law
 
 
-def weighted_mean(points: jax.Array, weights: jax.Array) -> jax.Array:
-    """Mean `(x,)` of points `(x, n)` under weights `(n,)` that sum to one."""
-    return jnp.matmul(points, weights, precision=jax.lax.Precision.HIGHEST)
-
-
-def weighted_cov(points: jax.Array, weights: jax.Array) -> jax.Array:
-    """Covariance `(x, x)` of points `(x, n)` under weights `(n,)` that sum to one."""
-    off = points - weighted_mean(points, weights)[:, None]
-    return jnp.matmul(off * weights, off.T, precision=jax.lax.Precision.HIGHEST)
+@engine.replaceable
+def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Mean `(x,)` and covariance `(x, x)` of points under normalized log weights `(n,)`; points come in parts `(x_1, n)`, `(x_2, n)`, ..."""
+    points, weights = jnp.concatenate(parts) if len(parts) > 1 else parts[0], jnp.exp(log_weights)
+    mean = jnp.matmul(points, weights, precision=jax.lax.Precision.HIGHEST)
+    off = points - mean[:, None]
+    return mean, jnp.matmul(off * weights, off.T, precision=jax.lax.Precision.HIGHEST)
 
 
 @record
@@ -46,11 +44,11 @@ class Cloud(Law):
 
     def mean(self) -> jax.Array:
         """Weighted mean, `(x,)`."""
-        return weighted_mean(self.particles, self.weights)
+        return weighted_moments(self.log_weights, self.particles)[0]
 
     def cov(self) -> jax.Array:
         """Weighted covariance, `(x, x)`."""
-        return weighted_cov(self.particles, self.weights)
+        return weighted_moments(self.log_weights, self.particles)[1]
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n particles with replacement, `(x, n)`."""

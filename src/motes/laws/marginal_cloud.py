@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from motes.core import linalg, logspace, random
 from motes.core.record import record, replace, static
-from motes.laws.cloud import Cloud, draw, weighted_cov, weighted_mean
+from motes.laws.cloud import Cloud, draw, weighted_moments
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
 
@@ -33,20 +33,21 @@ class MarginalCloud(Law):
         """Weights that sum to one, `(n,)`."""
         return jnp.exp(self.log_weights)
 
-    def _points(self) -> jax.Array:
-        return linalg.take(self._concatenated(), self.order)
+    def _spread(self) -> tuple[jax.Array, jax.Array]:
+        """Mean and covariance of (x_p, mean of x_k) over the particles."""
+        return weighted_moments(self.log_weights, self.particles, self.kalman.center)
 
     def mean(self) -> jax.Array:
         """Mean of all states in the user's order, `(x,)`."""
-        return weighted_mean(self._points(), self.weights)
+        return linalg.take(self._spread()[0], self.order)
 
     def cov(self) -> jax.Array:
         """Covariance of all states in the user's order, `(x, x)`: spread of the particles plus what each Gaussian leaves."""
         p = self.particles.shape[0]
         within = self.kalman.covariance
         inside = within @ self.weights if within.ndim == 3 else within
-        padded = jnp.zeros((len(self.order),) * 2, inside.dtype).at[p:, p:].set(inside)
-        return weighted_cov(self._points(), self.weights) + linalg.take(linalg.take(padded, self.order), self.order, axis=1)
+        whole = self._spread()[1].at[p:, p:].add(inside)
+        return linalg.take(linalg.take(whole, self.order), self.order, axis=1)
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points of all states in the user's order, `(x, n)`."""

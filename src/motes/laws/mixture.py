@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random
 from motes.core.record import record
-from motes.laws.cloud import draw, weighted_cov, weighted_mean
+from motes.laws.cloud import draw, weighted_moments
 from motes.laws.gaussian import Gaussian, log_normal
 from motes.laws.law import Law
 
@@ -42,13 +42,13 @@ class Mixture(Law):
 
     def mean(self) -> jax.Array:
         """Mean, `(x,)`."""
-        return weighted_mean(self.parts.center, self.weights)
+        return weighted_moments(self.log_weights, self.parts.center)[0]
 
     def cov(self) -> jax.Array:
         """Covariance within and between the components, `(x, x)`."""
         within = self.parts.covariance
         inside = within @ self.weights if within.ndim == 3 else within
-        return inside + weighted_cov(self.parts.center, self.weights)
+        return inside + weighted_moments(self.log_weights, self.parts.center)[1]
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points, `(x, n)`."""

@@ -6,7 +6,7 @@ from typing import Protocol, TypeVar
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, logspace
+from motes.core import checks, engine, logspace
 from motes.core.record import record
 from motes.resampling.schemes import Scheme
 
@@ -100,6 +100,7 @@ class Weighted(Protocol):
 W = TypeVar("W", bound=Weighted)
 
 
+@engine.replaceable
 def resample(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W) -> W:
     """Return the cloud resampled where the policy says so; the law it stands for is unchanged on average."""
 

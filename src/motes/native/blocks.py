@@ -1,0 +1,109 @@
+"""Native kernels that need no model, offered in place of the operations of the lower rooms that they replace."""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import engine, logspace, random
+from motes.core.record import replace
+from motes.laws import cloud
+from motes.native.compile import HEADERS, CompileError, kernel
+from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
+from motes.resampling.schemes import Scheme, Systematic
+
+MOST_ROWS = 32
+"""States that the kernel of moments has room for."""
+
+
+@cache
+def standing() -> str:
+    """Why native kernels cannot be used here; empty when they can."""
+    if jax.default_backend() != "cpu":
+        return f"the device is a {jax.default_backend()}"
+    try:
+        _name("normal_block")
+    except CompileError as reason:
+        return str(reason)
+    return ""
+
+
+@cache
+def _name(symbol: str) -> str:
+    return kernel((HEADERS / "blocks.cpp").read_text(), f"motes_{symbol}")
+
+
+def usable(*arrays: jax.Array) -> bool:
+    """Tell whether the native engine is chosen, stands, and takes such arrays."""
+    return engine.chosen() == "native" and all(array.dtype == jnp.float32 for array in arrays) and not standing()
+
+
+def _call(symbol: str, results: Any, *operands: jax.Array) -> Any:
+    return jax.ffi.ffi_call(_name(symbol), results, vmap_method="expand_dims")(*operands)
+
+
+def differentiable(native: Callable[..., Any], pure: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the native function with the derivatives of the pure one."""
+    function = jax.custom_jvp(native)
+    function.defjvp(lambda primals, tangents: jax.jvp(pure, primals, tangents))
+    return function
+
+
+def normal_block(key: jax.Array, rows: int, n: int) -> jax.Array | None:
+    """See `random.normal_block`."""
+    if not rows or n < 1024 or not usable():
+        return None
+    return _call("normal_block", jax.ShapeDtypeStruct((rows, n), jnp.float32), key)
+
+
+def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array] | None:
+    """See `cloud.weighted_moments`."""
+    size = sum(part.shape[0] for part in parts)
+    if not 0 < size <= MOST_ROWS or log_weights.shape[0] < 256 or not usable(log_weights, *parts):
+        return None
+    full = [part for part in parts if part.shape[0]]
+    shapes = (jax.ShapeDtypeStruct((size,), jnp.float32), jax.ShapeDtypeStruct((size, size), jnp.float32))
+    native = partial(_call, "moments", shapes)
+    return differentiable(lambda *given: tuple(native(*given)), engine.original(cloud.weighted_moments))(log_weights, *full)
+
+
+def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.Array) -> tuple[jax.Array, jax.Array] | None:
+    """Return ancestors `(n,)` and log weights `(n,)` after resampling where the policy asks for it, or None for other schemes and policies."""
+    codes = {Always: 0, Never: 1, ESS: 2, Entropy: 3}
+    if type(scheme) is not Systematic or type(policy) not in codes or not usable(log_weights):
+        return None
+    threshold = getattr(policy, "share", getattr(policy, "threshold", 0.0))
+    uniform = random.uniform(key, (), jnp.float32)
+    knobs = jnp.stack([uniform, jnp.asarray(threshold, jnp.float32), jnp.full((), codes[type(policy)], jnp.float32)])
+    n = log_weights.shape[0]
+    shapes = (jax.ShapeDtypeStruct((n,), jnp.int32), jax.ShapeDtypeStruct((n,), jnp.float32))
+
+    def pure(log_weights: jax.Array, knobs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        needed = policy.needed(log_weights)
+        drawn = scheme.at(knobs[0], log_weights, n)
+        equal = logspace.uniform_weights(n, log_weights.dtype)
+        return jnp.where(needed, drawn, jnp.arange(n, dtype=jnp.int32)), jnp.where(needed, equal, log_weights)
+
+    return differentiable(lambda *given: tuple(_call("ancestors", shapes, *given)), pure)(log_weights, knobs)
+
+
+def resample(key: jax.Array, scheme: Scheme, policy: Policy, law: Any) -> Any:
+    """See `policy.resample`."""
+    chosen = ancestors(key, scheme, policy, law.log_weights)
+    return None if chosen is None else replace(law.picked(chosen[0]), log_weights=chosen[1])
+
+
+def joint_weights(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, jax.Array] | None:
+    """See `logspace.joint_weights`."""
+    if log_weights.shape[0] < 256 or not usable(log_weights, log_likelihood):
+        return None
+    shapes = (jax.ShapeDtypeStruct(log_weights.shape, jnp.float32), jax.ShapeDtypeStruct((6,), jnp.float32))
+    ceiling = jnp.broadcast_to(ceiling, log_likelihood.shape).astype(jnp.float32)
+    native = lambda *given: tuple(_call("weigh", shapes, *given))  # noqa: E731
+    return differentiable(native, engine.original(logspace.joint_weights))(log_weights, log_likelihood, ceiling)
+
+
+for implementation in (normal_block, weighted_moments, resample, joint_weights):
+    engine.offer(implementation.__name__, implementation)

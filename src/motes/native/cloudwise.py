@@ -1,0 +1,133 @@
+"""The stages of filters with clouds on the native engine: each as one fused kernel where the model translates."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import engine, logspace
+from motes.core.record import replace
+from motes.native import blocks, report
+from motes.native.compile import CompileError
+from motes.native.rules import Untranslatable
+from motes.native.stage import FEWEST, Stage, call_move, call_weigh, judgement, movement
+from motes.native.translate import traced
+from motes.resampling.policy import Policy
+from motes.resampling.schemes import Scheme
+
+
+class Parts:
+    """A cloud taken apart into arrays with the particle axis, and the rest."""
+
+    def __init__(self, cloud: Any):
+        """Find which arrays have the particle axis, by asking for one particle more."""
+        n = cloud.log_weights.shape[0]
+        leaves, self.tree = jax.tree.flatten(cloud)
+        probe = jax.eval_shape(lambda cloud: cloud.picked(jnp.zeros((n + 1,), jnp.int32)), cloud)
+        own = (id(cloud.log_weights), id(cloud.ancestors))
+        self.places = [
+            i for i, (leaf, other) in enumerate(zip(leaves, jax.tree.leaves(probe), strict=True))
+            if leaf.shape != other.shape and id(leaf) not in own
+        ]  # fmt: skip
+        self.leaves = leaves
+        self.lanes = [leaves[i] for i in self.places]
+        self.weights = [i for i, leaf in enumerate(leaves) if id(leaf) in own]
+
+    def cloud(self, lanes: Sequence[jax.Array]) -> Any:
+        """Put a cloud of any number of particles together; nothing may look at its weights."""
+        n = lanes[0].shape[-1]
+        leaves = [jnp.zeros((n,), leaf.dtype) if i in self.weights else leaf for i, leaf in enumerate(self.leaves)]
+        for i, lane in zip(self.places, lanes, strict=True):
+            leaves[i] = lane
+        return jax.tree.unflatten(self.tree, leaves)
+
+    def apart(self, cloud: Any) -> list[jax.Array]:
+        """Return the arrays with the particle axis first, then the rest without the weights."""
+        leaves = jax.tree.leaves(cloud)
+        rest = [leaf for i, leaf in enumerate(leaves) if i not in self.places and i not in self.weights]
+        return [leaves[i] for i in self.places] + rest
+
+    def together(self, cloud: Any, arrays: Sequence[jax.Array]) -> Any:
+        """Undo `apart`, with weights and ancestors of a cloud."""
+        leaves = jax.tree.leaves(cloud)
+        rest = [i for i in range(len(leaves)) if i not in self.places and i not in self.weights]
+        for i, array in zip([*self.places, *rest], arrays, strict=True):
+            leaves[i] = array
+        return jax.tree.unflatten(self.tree, leaves)
+
+
+def evolve(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, cloud: Any, move: Callable[[Any, Any], Any]) -> Any:
+    """Resample where the policy says so and move, fused; None where that cannot be. See `filters.interface.evolve`."""
+    parts = _parts("move", cloud)
+    chosen = blocks.ancestors(keys[0], scheme, policy, cloud.log_weights) if parts else None
+    if parts is None or chosen is None:
+        return report.note("move", report.KERNELS, f"{type(scheme).__name__} resampling") if parts else None
+    ancestors, log_weights = chosen
+
+    def function(*lanes: jax.Array) -> list[jax.Array]:
+        return parts.apart(move(keys[1], parts.cloud(lanes)))
+
+    stage = _attempt("move", movement, function, parts)
+    if stage is None:
+        return None
+    program = traced(function, parts.lanes, log_weights.shape[0])
+
+    def native(words: Any, tables: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
+        return call_move(stage, words, tables, ancestors, lanes)
+
+    def pure(words: Any, tables: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
+        return jax.core.eval_jaxpr(program.jaxpr, consts, *(lane[..., ancestors] for lane in lanes))[: len(lanes)]
+
+    moved = blocks.differentiable(native, pure)(stage.words, stage.tables, ancestors, parts.lanes, program.consts)
+    return replace(parts.together(cloud, [*moved, *stage.rest]), ancestors=ancestors, log_weights=log_weights)
+
+
+def reweigh(cloud: Any, judge: Callable[[Any], tuple[Any, jax.Array, jax.Array]]) -> tuple[Any, jax.Array] | None:
+    """Correct and weigh, fused; None where that cannot be. See `filters.interface.reweigh`."""
+    parts = _parts("weigh", cloud)
+    if parts is None:
+        return None
+
+    def function(*lanes: jax.Array) -> list[jax.Array]:
+        after, likelihood, ceiling = judge(parts.cloud(lanes))
+        return [likelihood, ceiling, *parts.apart(after)]
+
+    stage = _attempt("weigh", judgement, function, parts)
+    if stage is None:
+        return None
+    program = traced(function, parts.lanes, cloud.log_weights.shape[0])
+
+    def native(words: Any, tables: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
+        return call_weigh(stage, words, tables, log_weights, lanes)
+
+    def pure(words: Any, tables: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
+        likelihood, ceiling, *outs = jax.core.eval_jaxpr(program.jaxpr, consts, *lanes)
+        return *engine.original(logspace.joint_weights)(log_weights, likelihood, ceiling), outs[: len(lanes)]
+
+    given = (stage.words, stage.tables, cloud.log_weights, parts.lanes, program.consts)
+    weights, found, lanes = blocks.differentiable(native, pure)(*given)
+    return replace(parts.together(cloud, [*lanes, *stage.rest]), log_weights=weights), found
+
+
+def _parts(stage: str, cloud: Any) -> Parts | None:
+    """Take a cloud apart, where the native engine is to be used on it."""
+    if engine.chosen() != "native":
+        return None
+    if blocks.standing():
+        return report.note(stage, report.JAX, blocks.standing())
+    if cloud.log_weights.dtype != jnp.float32:
+        return report.note(stage, report.JAX, f"particles of type {cloud.log_weights.dtype}")
+    if cloud.log_weights.shape[0] < FEWEST:
+        return report.note(stage, report.JAX, f"fewer than {FEWEST} particles")
+    parts = Parts(cloud)
+    return parts if parts.lanes else report.note(stage, report.JAX, "no particles")
+
+
+def _attempt(name: str, translate: Callable[..., Stage], function: Callable[..., Any], parts: Parts) -> Stage | None:
+    try:
+        stage = translate(function, parts.lanes)
+    except (Untranslatable, CompileError) as reason:
+        return report.note(name, report.KERNELS, str(reason))
+    report.note(name, report.FUSED, f"{stage.size} scalar operations")
+    return stage

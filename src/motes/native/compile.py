@@ -1,0 +1,122 @@
+"""From C++ source to functions that XLA calls: compiled once by the system's compiler, kept under the hash of all that went in."""
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import jax
+
+from motes.io.private import private_folder
+
+HEADERS = Path(__file__).parent / "cpp"
+FLAGS = (
+    "-std=c++17", "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fwrapv", "-fopenmp-simd",
+    "-fPIC", "-shared", "-w",
+)  # fmt: skip
+"""No flag lets the compiler take NaN for impossible or reorder a sum that is not marked."""
+SECONDS = 300
+
+
+class CompileError(Exception):
+    """The compiler is missing, or it refused the source; the text says which."""
+
+
+@functools.cache
+def compiler() -> str | None:
+    """Return the C++ compiler: that of the environment variable CXX, else g++ or clang++ on the path; None when there is none."""
+    for name in (os.environ.get("CXX"), "g++", "clang++"):
+        found = shutil.which(name) if name else None
+        if found:
+            return found
+    return None
+
+
+@functools.cache
+def _surroundings() -> bytes:
+    """What decides the machine code besides the source: compiler, processor, headers."""
+    version = subprocess.run([_required(), "--version"], capture_output=True, timeout=SECONDS, check=False).stdout
+    parts = [version, " ".join((*FLAGS, *_wide())).encode(), platform.machine().encode(), _processor(), jax.__version__.encode()]
+    parts += [path.read_bytes() for path in sorted(HEADERS.glob("*.hpp"))]
+    return b"\0".join(parts)
+
+
+def _processor() -> bytes:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor().encode()
+    return "\n".join(sorted({line for line in lines if line.startswith(("flags", "Features", "model name"))})).encode()
+
+
+def _wide() -> tuple[str, ...]:
+    """Compilers use half of the widest registers unless told otherwise."""
+    return ("-mprefer-vector-width=512",) if b"avx512f" in _processor() else ()
+
+
+def _required() -> str:
+    found = compiler()
+    if found is None:
+        raise CompileError("no C++ compiler: g++ or clang++ on the path, or CXX")
+    return found
+
+
+_loaded: dict[str, ctypes.CDLL] = {}
+
+
+def library(source: str) -> tuple[str, ctypes.CDLL]:
+    """Compile (or find) a library and load it; return its hash too.
+
+    Raises:
+        CompileError: there is no compiler, or it failed.
+    """
+    mark = hashlib.sha256(_surroundings() + b"\0" + source.encode()).hexdigest()[:20]
+    if mark not in _loaded:
+        folder = private_folder("native")
+        kept = folder / f"{mark}.so" if folder else None
+        if kept is not None and kept.exists():
+            _loaded[mark] = ctypes.CDLL(str(kept))
+        else:
+            _loaded[mark] = _built(source, kept)
+    return mark, _loaded[mark]
+
+
+def _built(source: str, kept: Path | None) -> ctypes.CDLL:
+    with tempfile.TemporaryDirectory(dir=kept.parent if kept else None) as name:
+        text, made = Path(name) / "kernel.cpp", Path(name) / "kernel.so"
+        text.write_text(source)
+        words = [_required(), *FLAGS, *_wide(), f"-I{HEADERS}", f"-I{jax.ffi.include_dir()}", "-o", str(made), str(text)]
+        try:
+            done = subprocess.run(words, capture_output=True, text=True, timeout=SECONDS, check=False)
+        except (OSError, subprocess.TimeoutExpired) as reason:
+            raise CompileError(f"the C++ compiler failed: {reason}") from None
+        if done.returncode:
+            first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
+            raise CompileError(f"the C++ compiler refused the source: {first}")
+        if kept is None:
+            return ctypes.CDLL(str(made))
+        # whole or not at all: another process may be looking for the same file
+        os.replace(made, kept)
+    return ctypes.CDLL(str(kept))
+
+
+_registered: set[str] = set()
+
+
+def kernel(source: str, symbol: str) -> str:
+    """Compile a source, register one of its kernels with XLA and return the name to call it by.
+
+    Raises:
+        CompileError: there is no compiler, or it failed.
+    """
+    mark, loaded = library(source)
+    name = f"motes_{symbol}_{mark}"
+    if name not in _registered:
+        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(loaded, symbol)), platform="cpu")
+        _registered.add(name)
+    return name

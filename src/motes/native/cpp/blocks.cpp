@@ -1,0 +1,138 @@
+// Kernels that need no model: random numbers, ancestors, weights, moments.
+#include "weights.hpp"
+
+using namespace motes;
+
+// args: key `(2)`; rets: normal numbers `(rows, n)`
+static void normal_block(const Frame& frame, const Team& team) {
+  Operand out = frame.ret(0);
+  Batch batch(out, 2);
+  int64_t n = out.dims[out.rank - 1], rows = out.dims[out.rank - 2];
+  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+    const uint32_t* key = batch.of<const uint32_t>(frame.arg(0), run);
+    float* data = batch.of<float>(out, run);
+    own.each(blocks_of(n), ALONE, [=](int64_t b) {
+      Scratch memory(sizeof(float) * BLOCK * rows);
+      auto* noise = memory.as<float[BLOCK]>();
+      normals({key[0], key[1]}, (uint32_t)(b * BLOCK), (int)rows, noise);
+      for (int64_t r = 0; r < rows; r++) std::memcpy(data + r * n + b * BLOCK, noise[r], sizeof(float) * length_of(b, n));
+    });
+  });
+}
+MOTES_KERNEL(motes_normal_block, normal_block)
+
+// args: log weights `(n)`, `(uniform number, threshold, policy)`; rets: ancestors `(n)`, log weights `(n)`
+static void ancestors(const Frame& frame, const Team& team) {
+  Operand out = frame.ret(0);
+  Batch batch(out, 1);
+  int64_t n = out.dims[out.rank - 1];
+  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+    const float* knobs = batch.of<const float>(frame.arg(1), run);
+    choose(own, batch.of<const float>(frame.arg(0), run), knobs[0], knobs[1], (Policy)(int)knobs[2], n, batch.of<int32_t>(out, run),
+           batch.of<float>(frame.ret(1), run));
+  });
+}
+MOTES_KERNEL(motes_ancestors, ancestors)
+
+// args: log weights `(n)`, log likelihoods `(n)`, their ceilings `(n)`; rets: log weights `(n)`, judgement `(6)`
+static void weigh(const Frame& frame, const Team& team) {
+  Operand out = frame.ret(0);
+  Batch batch(out, 1);
+  int64_t n = out.dims[out.rank - 1], blocks = blocks_of(n);
+  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+    const float* before = batch.of<const float>(frame.arg(0), run);
+    const float* likelihood = batch.of<const float>(frame.arg(1), run);
+    const float* ceiling = batch.of<const float>(frame.arg(2), run);
+    float* joint = batch.of<float>(out, run);
+    Scratch memory(sizeof(Tally) * blocks);
+    Tally* tallies = memory.as<Tally>();
+    own.each(blocks, ALONE, [=](int64_t b) {
+      int64_t at = b * BLOCK;
+      tallies[b] = tally(before + at, likelihood + at, ceiling + at, joint + at, length_of(b, n));
+    });
+    Judgement found = judge(tallies, blocks, batch.of<float>(frame.ret(1), run));
+    own.each(blocks, 4 * ALONE, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); });
+  });
+}
+MOTES_KERNEL(motes_weigh, weigh)
+
+constexpr int MOST_ROWS = 32;
+
+// Weighted sums of one block about its own weighted mean: `moments` holds the weight, the means and the lower triangle of the scatter.
+static void block_moments(const float* const* rows, int x, const float* __restrict log_weights, int m, double* moments) {
+  alignas(64) float weights[BLOCK], off[MOST_ROWS][BLOCK];
+  float total = 0;
+#pragma omp simd reduction(+ : total)
+  for (int i = 0; i < m; i++) {
+    float w = exp(log_weights[i]);
+    weights[i] = w, total += w;
+  }
+  moments[0] = total;
+  for (int r = 0; r < x; r++) {
+    const float* __restrict row = rows[r];
+    float pivot = row[0], sum = 0;
+#pragma omp simd reduction(+ : sum)
+    for (int i = 0; i < m; i++) sum += weights[i] > 0.f ? weights[i] * (row[i] - pivot) : 0.f;
+    float center = total > 0.f ? pivot + sum / total : pivot;
+#pragma omp simd
+    for (int i = 0; i < m; i++) off[r][i] = weights[i] > 0.f ? row[i] - center : 0.f;
+    moments[1 + r] = center;
+  }
+  double* scatter = moments + 1 + x;
+  for (int r = 0; r < x; r++) {
+    alignas(64) float weighted[BLOCK];
+#pragma omp simd
+    for (int i = 0; i < m; i++) weighted[i] = weights[i] * off[r][i];
+    for (int c = 0; c <= r; c++) {
+      float sum = 0;
+#pragma omp simd reduction(+ : sum)
+      for (int i = 0; i < m; i++) sum += weighted[i] * off[c][i];
+      *scatter++ = sum;
+    }
+  }
+}
+
+// args: log weights `(n)`, points `(x, n)`, more points; rets: mean `(x)`, covariance `(x, x)`
+static void moments(const Frame& frame, const Team& team) {
+  Operand out = frame.ret(0);
+  Batch batch(out, 1);
+  Operand given = frame.arg(0);
+  int64_t n = given.dims[given.rank - 1], x = out.dims[out.rank - 1], blocks = blocks_of(n), size = 1 + x + x * (x + 1) / 2;
+  int64_t parts = frame.call->args.size - 1;
+  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+    const float* log_weights = batch.of<const float>(given, run);
+    Scratch memory(sizeof(double) * size * blocks);
+    double* found = memory.as<double>();
+    own.each(blocks, ALONE, [=](int64_t b) {
+      const float* rows[MOST_ROWS];
+      int at = 0;
+      for (int64_t part = 1; part <= parts; part++) {
+        Operand points = frame.arg((int)part);
+        const float* data = batch.of<const float>(points, run);
+        for (int64_t r = 0; r < points.dims[points.rank - 2]; r++) rows[at++] = data + r * n + b * BLOCK;
+      }
+      block_moments(rows, (int)x, log_weights + b * BLOCK, length_of(b, n), found + b * size);
+    });
+    double all[1 + MOST_ROWS + MOST_ROWS * (MOST_ROWS + 1) / 2] = {0};
+    for (int64_t b = 0; b < blocks; b++) {  // of two groups: means apart add to the scatter (Chan, Golub, LeVeque 1983)
+      const double* one = found + b * size;
+      double weight = one[0], sum = all[0] + weight, apart[MOST_ROWS];
+      if (!(sum > 0)) continue;
+      for (int64_t r = 0; r < x; r++) apart[r] = one[1 + r] - all[1 + r];
+      double* scatter = all + 1 + x;
+      const double* own_scatter = one + 1 + x;
+      for (int64_t r = 0; r < x; r++)
+        for (int64_t c = 0; c <= r; c++) *scatter++ += *own_scatter++ + apart[r] * apart[c] * (all[0] * weight / sum);
+      for (int64_t r = 0; r < x; r++) all[1 + r] += apart[r] * (weight / sum);
+      all[0] = sum;
+    }
+    float* mean = batch.of<float>(out, run);
+    float* cov = batch.of<float>(frame.ret(1), run);
+    const double* scatter = all + 1 + x;
+    for (int64_t r = 0; r < x; r++) {
+      mean[r] = (float)all[1 + r];
+      for (int64_t c = 0; c <= r; c++) cov[r * x + c] = cov[c * x + r] = (float)(*scatter++ / all[0]);
+    }
+  });
+}
+MOTES_KERNEL(motes_moments, moments)

@@ -1,0 +1,60 @@
+// The random stream of motes.core.random: the same words, and normal numbers equal to it within 2 units in the last place.
+#pragma once
+#include "math.hpp"
+
+namespace motes {
+
+constexpr int BLOCK = 1024;  // particles that are worked on at a time: all their numbers stay in the first-level cache
+constexpr uint32_t UNIFORM_TAG = 0x80000000u;
+
+struct Key { uint32_t first, second; };
+struct Words { uint32_t first, second; };
+
+static inline __attribute__((always_inline)) Words threefry(Key key, uint32_t a, uint32_t b) {
+  uint32_t third = key.first ^ key.second ^ 0x1BD11BDAu;
+  auto four = [&](int r0, int r1, int r2, int r3) {
+    a += b, b = (b << r0 | b >> (32 - r0)) ^ a;
+    a += b, b = (b << r1 | b >> (32 - r1)) ^ a;
+    a += b, b = (b << r2 | b >> (32 - r2)) ^ a;
+    a += b, b = (b << r3 | b >> (32 - r3)) ^ a;
+  };
+  a += key.first, b += key.second;
+  four(13, 15, 26, 6), a += key.second, b += third + 1;
+  four(17, 29, 16, 24), a += third, b += key.first + 2;
+  four(13, 15, 26, 6), a += key.first, b += key.second + 3;
+  four(17, 29, 16, 24), a += key.second, b += third + 4;
+  four(13, 15, 26, 6), a += third, b += key.first + 5;
+  return {a, b};
+}
+
+static inline __attribute__((always_inline)) float to_normal(uint32_t word) {
+  float centered = (float)(int32_t)word * 4.65661287e-10f;
+  centered = centered > 0.99999994f ? 0.99999994f : (centered < -0.99999994f ? -0.99999994f : centered);
+  return 1.41421354f * erf_inv(centered);
+}
+
+// rows of standard normal numbers for the BLOCK particles from `begin` on
+static inline void normals(Key key, uint32_t begin, int rows, float (*out)[BLOCK]) {
+  alignas(64) uint32_t words[2][BLOCK];
+  for (int pair = 0; 2 * pair < rows; pair++) {
+#pragma omp simd
+    for (int i = 0; i < BLOCK; i++) {
+      Words w = threefry(key, begin + i, pair);
+      words[0][i] = w.first, words[1][i] = w.second;
+    }
+    for (int half = 0; half < 2 && 2 * pair + half < rows; half++) {
+#pragma omp simd
+      for (int i = 0; i < BLOCK; i++) out[2 * pair + half][i] = to_normal(words[half][i]);
+    }
+  }
+}
+
+// rows of uniform numbers in [0, 1) for the BLOCK particles from `begin` on
+static inline void uniforms(Key key, uint32_t begin, int rows, float (*out)[BLOCK]) {
+  for (int row = 0; row < rows; row++) {
+#pragma omp simd
+    for (int i = 0; i < BLOCK; i++) out[row][i] = (float)(threefry(key, begin + i, row ^ UNIFORM_TAG).first >> 8) * 5.96046448e-08f;
+  }
+}
+
+}  // namespace motes

@@ -1,0 +1,76 @@
+// The two stages of a filter with particles, for a traced model: `Model` is written by the translator.
+//   LEAVES, ROWS[], RANKS[]: arrays of the particles' state; OUTS, OUT_ROWS[], OUT_RANKS[]: those that the stage changes; TABLES;
+//   NOISE: rows of random numbers; draw(P, begin, noise) fills them; lanes(...) works on up to BLOCK particles.
+#pragma once
+#include "weights.hpp"
+
+namespace motes {
+
+template <class Model>
+struct Rows {
+  const float* in[Model::IN_ROWS + 1];
+  float* out[Model::OUT_ROWS_ALL + 1];
+  const float* tables[Model::TABLES + 1];
+};
+
+template <class Model>
+static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, int64_t n, int first_out) {
+  Rows<Model> rows;
+  int at = 0;
+  for (int leaf = 0; leaf < Model::LEAVES; leaf++) {
+    const float* data = batch.of<const float>(frame.arg(2 + leaf), run);
+    for (int r = 0; r < Model::ROWS[leaf]; r++) rows.in[at++] = data + r * n;
+  }
+  at = 0;
+  for (int leaf = 0; leaf < Model::OUTS; leaf++) {
+    float* data = batch.of<float>(frame.ret(first_out + leaf), run);
+    for (int r = 0; r < Model::OUT_ROWS[leaf]; r++) rows.out[at++] = data + r * n;
+  }
+  for (int k = 0; k < Model::TABLES; k++) rows.tables[k] = batch.of<const float>(frame.arg(2 + Model::LEAVES + k), run);
+  return rows;
+}
+
+// args: parameters, ancestors `(n)`, leaves, tables; rets: changed leaves
+template <class Model>
+static void move(const Frame& frame, const Team& team) {
+  Operand like = frame.ret(0);
+  Batch batch(like, Model::OUT_RANKS[0]);
+  int64_t n = like.dims[like.rank - 1];
+  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+    const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
+    const int32_t* ancestors = batch.of<const int32_t>(frame.arg(1), run);
+    Rows<Model> rows = rows_of<Model>(frame, batch, run, n, 0);
+    own.each(blocks_of(n), ALONE, [=](int64_t b) {
+      alignas(64) float noise[Model::NOISE + 1][BLOCK];
+      Model::draw(parameters, (uint32_t)(b * BLOCK), noise);
+      Model::lanes(parameters, rows, ancestors + b * BLOCK, b * BLOCK, length_of(b, n), noise, nullptr, nullptr);
+    });
+  });
+}
+
+// args: parameters, log weights `(n)`, leaves, tables; rets: log weights `(n)`, judgement `(6)`, changed leaves
+template <class Model>
+static void weigh(const Frame& frame, const Team& team) {
+  Operand like = frame.ret(0);
+  Batch batch(like, 1);
+  int64_t n = like.dims[like.rank - 1], blocks = blocks_of(n);
+  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+    const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
+    const float* log_weights = batch.of<const float>(frame.arg(1), run);
+    float* joint = batch.of<float>(frame.ret(0), run);
+    Rows<Model> rows = rows_of<Model>(frame, batch, run, n, 2);
+    Scratch memory(sizeof(Tally) * blocks);
+    Tally* tallies = memory.as<Tally>();
+    own.each(blocks, ALONE, [=](int64_t b) {
+      alignas(64) float likelihood[BLOCK], ceiling[BLOCK], noise[Model::NOISE + 1][BLOCK];
+      int m = length_of(b, n);
+      Model::draw(parameters, (uint32_t)(b * BLOCK), noise);
+      Model::lanes(parameters, rows, nullptr, b * BLOCK, m, noise, likelihood, ceiling);
+      tallies[b] = tally(log_weights + b * BLOCK, likelihood, ceiling, joint + b * BLOCK, m);
+    });
+    Judgement found = judge(tallies, blocks, batch.of<float>(frame.ret(1), run));
+    own.each(blocks, 4 * ALONE, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); });
+  });
+}
+
+}  // namespace motes

@@ -1,0 +1,80 @@
+"""The proof that a program over a cloud works on each particle alone: every array has the particle axis once or not at all, throughout."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from motes.native.rules import MOVES, REDUCTIONS, Untranslatable
+from motes.native.translate import block_of, inner
+
+COUNT = 99_991
+"""A prime number of particles that no other axis has, nor a product of axes."""
+
+
+def check(program: Any) -> None:
+    """Refuse a program traced for `COUNT` particles in which particles meet.
+
+    Raises:
+        Untranslatable: the text names the operation.
+    """
+    for eqn in program.eqns:
+        name = eqn.primitive.name
+        before, after = _marked(eqn.invars), _marked(eqn.outvars)
+        if block_of(eqn):
+            if after != [[len(eqn.outvars[0].aval.shape) - 1]]:
+                _refuse("random numbers")
+            continue
+        nested = inner(eqn)
+        if nested:
+            check(nested[0])
+            continue
+        if any(len(axes) > 1 for axes in after):
+            _refuse(name)
+        given, made = any(before), [bool(axes) for axes in after]
+        if given and not all(made):
+            _refuse(name)
+        if not given and any(made) and name != "broadcast_in_dim":
+            _refuse(name)
+        if name == "cond":
+            for branch in eqn.params["branches"]:
+                check(branch.jaxpr)
+        if given and name in MOVES:
+            _check_move(eqn, before, after[0])
+        if given and (name.startswith(("cum", "sort", "arg", "reduce_window", "scan", "while")) and name not in REDUCTIONS):
+            _refuse(name)
+
+
+def _marked(atoms: Sequence[Any]) -> list[list[int]]:
+    """Places of the particle axis in each array."""
+    found = []
+    for atom in atoms:
+        shape = getattr(atom.aval, "shape", ())
+        if any(size > COUNT and size % COUNT == 0 for size in shape):
+            _refuse("reshape")
+        found.append([i for i, size in enumerate(shape) if size == COUNT])
+    return found
+
+
+def _check_move(eqn: Any, before: list[list[int]], after: list[int]) -> None:
+    """Data may be moved along any axis but that of the particles."""
+    name, params = eqn.primitive.name, eqn.params
+    if not before[0]:
+        if name in ("dynamic_update_slice", "scatter"):
+            _refuse(name)
+        return
+    axis, shape = before[0][0], eqn.invars[0].aval.shape
+    numbers = params.get("dimension_numbers")
+    wrong = {
+        "rev": lambda: axis in params["dimensions"],
+        "reshape": lambda: math.prod(shape[:axis]) != math.prod(eqn.outvars[0].aval.shape[: after[0]]),
+        "pad": lambda: params["padding_config"][axis] != (0, 0, 0),
+        "gather": lambda: params["slice_sizes"][axis] != COUNT or axis in (*numbers.start_index_map, *numbers.collapsed_slice_dims),
+        "scatter": lambda: not before[2] or axis in (*numbers.inserted_window_dims, *numbers.scatter_dims_to_operand_dims),
+        "dynamic_update_slice": lambda: before[1] != [axis],
+    }
+    if wrong.get(name, lambda: False)():
+        _refuse(name)
+
+
+def _refuse(name: str) -> None:
+    raise Untranslatable(f"the operation {name} across particles")

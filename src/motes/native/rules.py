@@ -1,0 +1,131 @@
+"""What each traced operation is in C++, for one particle: elementwise ones are a formula, data movement is found by moving numbers."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Scalar(NamedTuple):
+    """A number of one particle (or a parameter shared by all) in the C++ program.
+
+    Attributes:
+        text: a name or a literal.
+        kind: "float", "int32_t", "uint32_t" or "bool".
+    """
+
+    text: str
+    kind: str
+
+
+class Untranslatable(Exception):
+    """A traced program has no native form; the text says what stands in the way."""
+
+
+KINDS = {np.dtype(np.float32): "float", np.dtype(np.int32): "int32_t", np.dtype(np.uint32): "uint32_t", np.dtype(bool): "bool"}
+
+
+def kind_of(dtype: Any) -> str:
+    """Return the C++ type of an array's elements."""
+    try:
+        return KINDS[np.dtype(dtype)]
+    except (KeyError, TypeError):
+        raise Untranslatable(f"numbers of type {dtype}") from None
+
+
+def literal(value: Any, kind: str) -> str:
+    """Write a known number as C++."""
+    if kind == "bool":
+        return "true" if value else "false"
+    if kind != "float":
+        return f"({kind}){int(value)}{'u' if kind == 'uint32_t' else 'll'}"
+    number = np.float32(value)
+    if np.isnan(number):
+        return "NOT_A_NUMBER"
+    if np.isinf(number):
+        return "INF" if number > 0 else "(-INF)"
+    return f"({float(number).hex()}f)"
+
+
+FUNCTIONS = {
+    **{name: f"motes::{name}" for name in (
+        "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "logistic", "sqrt",
+        "rsqrt", "erf_inv")},
+    # these keep a loop from being vectorized, but are right
+    "cbrt": "std::cbrt", "erf": "std::erf", "erfc": "std::erfc", "exp2": "std::exp2", "lgamma": "std::lgamma", "pow": "std::pow",
+    "asinh": "std::asinh", "acosh": "std::acosh", "atanh": "std::atanh",
+}  # fmt: skip
+"""Functions of float32 alone; those of the namespace motes are in `cpp/math.hpp`."""
+
+FORMULAS = {
+    "add": "{0} + {1}", "add_any": "{0} + {1}", "sub": "{0} - {1}", "mul": "{0} * {1}", "neg": "-{0}", "square": "{0} * {0}",
+    "max": "({0} > {1} || {0} != {0}) ? {0} : {1}", "min": "({0} < {1} || {0} != {0}) ? {0} : {1}",
+    "eq": "{0} == {1}", "ne": "{0} != {1}", "lt": "{0} < {1}", "le": "{0} <= {1}", "gt": "{0} > {1}", "ge": "{0} >= {1}",
+    "and": "{0} & {1}", "or": "{0} | {1}", "xor": "{0} ^ {1}", "copy": "{0}", "copy_p": "{0}", "stop_gradient": "{0}",
+    "clamp": "{1} < {0} ? {0} : ({1} > {2} ? {2} : {1})",
+}  # fmt: skip
+FLOAT_FORMULAS = {
+    "div": "{0} / {1}", "abs": "__builtin_fabsf({0})", "floor": "__builtin_floorf({0})", "ceil": "__builtin_ceilf({0})",
+    "sign": "{0} != {0} ? {0} : (float)(({0} > 0.f) - ({0} < 0.f))", "is_finite": "__builtin_fabsf({0}) < INF",
+    "rem": "motes::remainder({0}, {1})",
+}  # fmt: skip
+_TESTS = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite"}
+ROUNDINGS = {0: "__builtin_roundf({0})", 1: "motes::round_even({0})"}
+
+
+def formula(name: str, kinds: list[str], params: dict[str, Any]) -> tuple[str, str] | None:
+    """Return the C++ formula of an elementwise operation and the type of its value, or None when it is not known."""
+    first = kinds[0] if kinds else ""
+    result = "bool" if name in _TESTS else first
+    if name in FORMULAS and not (first == "bool" and name in ("add", "sub", "mul", "neg", "max", "min", "square", "add_any")):
+        return FORMULAS[name], result
+    if name == "not":
+        return ("!{0}" if first == "bool" else "~{0}"), first
+    if name == "abs" and first == "int32_t":
+        return "{0} < 0 ? -{0} : {0}", first
+    if name == "sign" and first == "int32_t":
+        return "({0} > 0) - ({0} < 0)", first
+    if name == "convert_element_type":
+        return _conversion(first, kind_of(params["new_dtype"]))
+    if name == "select_n" and len(kinds) == 3 and first == "bool":
+        return "{0} ? {2} : {1}", kinds[1]
+    if name == "integer_pow" and first == "float":
+        return _whole_power(params["y"]), first
+    if name == "round" and first == "float":
+        return ROUNDINGS[int(params["rounding_method"])], first
+    if first == "float" and name in FLOAT_FORMULAS:
+        return FLOAT_FORMULAS[name], result
+    if name in FUNCTIONS and all(kind == "float" for kind in kinds) and params.get("accuracy") is None:
+        return f"{FUNCTIONS[name]}({', '.join(f'{{{i}}}' for i in range(len(kinds)))})", first
+    return None
+
+
+def _conversion(before: str, after: str) -> tuple[str, str]:
+    if before == "float" and after == "int32_t":
+        return "motes::to_int({0})", after
+    if before == "float" and after == "uint32_t":
+        raise Untranslatable("a float32 made an unsigned whole number")
+    return ("{0} != 0" if after == "bool" else f"({after}){{0}}"), after
+
+
+def _whole_power(power: int) -> str:
+    if power == 0:
+        return "1.f"
+    product = " * ".join(["{0}"] * abs(power))
+    return product if power > 0 else f"1.f / ({product})"
+
+
+MOVES: dict[str, Callable[[int], bool]] = {
+    **dict.fromkeys(("reshape", "broadcast_in_dim", "squeeze", "transpose", "rev", "slice", "concatenate", "stack", "pad", "split",
+                     "expand_dims"), lambda i: False),
+    "gather": lambda i: i == 1,
+    "scatter": lambda i: i == 1,
+    "dynamic_slice": lambda i: i >= 1,
+    "dynamic_update_slice": lambda i: i >= 2,
+}  # fmt: skip
+"""Operations that move elements about without working on them, and which of their operands say where to."""
+
+REDUCTIONS = {
+    "reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min", "reduce_and": "and", "reduce_or": "or",
+}  # fmt: skip
+"""Operations that join the elements along axes by another one."""

@@ -1,0 +1,173 @@
+"""A stage of a filter as one native kernel: the traced functions of the model, fused with random numbers, gathering and weighing."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.native import lanes
+from motes.native.compile import kernel
+from motes.native.translate import Translator, Untranslatable, is_lane, traced
+
+FEWEST = 256
+"""With fewer particles JAX is as fast."""
+
+Function = Callable[..., Any]
+
+
+class Stage(NamedTuple):
+    """A translated stage, ready to be called on the arrays of a cloud.
+
+    Attributes:
+        kernel: name by which XLA calls it.
+        words: numbers that all particles share, `(p,)`, as 32-bit words.
+        tables: arrays that are looked up.
+        changed: for each array with the particle axis, whether the kernel works it out; it is left as it was otherwise.
+        rest: what the stage returns without the particle axis, worked out by JAX.
+        size: number of scalar operations.
+    """
+
+    kernel: str
+    words: jax.Array
+    tables: list[jax.Array]
+    changed: list[bool]
+    rest: list[Any]
+    size: int
+
+
+def movement(function: Function, leaves: Sequence[jax.Array]) -> Stage:
+    """Translate a function of the arrays of a cloud that returns the same arrays, moved.
+
+    Raises:
+        Untranslatable: it cannot be; the text says why.
+        CompileError: there is no compiler, or it failed.
+    """
+    translator, outputs = _translated(function, leaves)
+    return _compiled("move", translator, leaves, outputs, [])
+
+
+def judgement(function: Function, leaves: Sequence[jax.Array]) -> Stage:
+    """Translate a function of the arrays of a cloud that returns a log likelihood `(n,)`, its ceiling and the arrays, corrected.
+
+    Raises:
+        Untranslatable: it cannot be; the text says why.
+        CompileError: there is no compiler, or it failed.
+    """
+    translator, (likelihood, ceiling, *outputs) = _translated(function, leaves)
+    weighing = [translator.scalars(value).reshape(-1)[0] for value in (likelihood, ceiling)]
+    return _compiled("weigh", translator, leaves, outputs, weighing)
+
+
+def _translated(function: Function, leaves: Sequence[jax.Array]) -> tuple[Translator, list[Any]]:
+    for leaf in leaves:
+        if leaf.dtype != jnp.float32:
+            raise Untranslatable(f"particles of type {leaf.dtype}")
+    lanes.check(traced(function, leaves, lanes.COUNT).jaxpr)
+    single = traced(function, leaves, 1)
+    translator = Translator()
+    first = 0
+    inputs = []
+    for leaf in leaves:
+        inputs.append(translator.inputs(first, (*leaf.shape[:-1], 1)))
+        first += inputs[-1].size
+    return translator, translator.run(single.jaxpr, single.consts, inputs)
+
+
+def _compiled(kind: str, translator: Translator, leaves: Sequence[jax.Array], outputs: Sequence[Any], weighing: Sequence[Any]) -> Stage:
+    """Write, compile and register the kernel."""
+    rest = [jnp.asarray(value) for value in outputs[len(leaves) :] if not is_lane(value)]
+    if len(rest) != len(outputs) - len(leaves):
+        raise Untranslatable("a value for all particles that depends on one")
+    changed: list[bool] = []
+    assignments: list[str] = []
+    shapes: list[tuple[int, int]] = []
+    first = row = 0
+    for leaf, output in zip(leaves, outputs, strict=False):
+        count = _rows(leaf)
+        scalars = translator.scalars(output).reshape(-1)
+        changed.append([scalar.text for scalar in scalars] != [f"x{first + i}" for i in range(count)])
+        first += count
+        if changed[-1]:
+            shapes.append((count, leaf.ndim))
+            assignments += [f"y{row + i}[i] = {scalar.text};" for i, scalar in enumerate(scalars)]
+            row += count
+    if weighing:
+        assignments += [f"{name}[i] = {scalar.text};" for name, scalar in zip(("likelihood", "ceiling"), weighing, strict=True)]
+    elif not shapes:
+        raise Untranslatable("dynamics that move nothing")
+    source = _source(kind, translator, [(_rows(leaf), leaf.ndim) for leaf in leaves], shapes, assignments)
+    return Stage(kernel(source, kind), translator.words(), translator.tables, changed, rest, len(translator.statements))
+
+
+def _rows(leaf: Any) -> int:
+    return int(np.prod(leaf.shape[:-1], dtype=int))
+
+
+def _source(kind: str, translator: Translator, leaves: list[tuple[int, int]], outs: list[tuple[int, int]], assignments: list[str]) -> str:
+    """Put the C++ together; `cpp/stage.hpp` says what each name is for."""
+    count, made = sum(rows for rows, _ in leaves), sum(rows for rows, _ in outs)
+    text = "\n      ".join([*translator.statements, *assignments])
+    used = {f"x{j}" for j in range(count) if f"x{j}" in _words(text)}
+    loads = [f"const float* __restrict r{j} = rows.in[{j}];" for j in range(count) if f"x{j}" in used]
+    loads += [f"float* __restrict y{j} = rows.out[{j}] + first;" for j in range(made)]
+    loads += [f"const float* __restrict t{k} = rows.tables[{k}];" for k in range(len(translator.tables))]
+    gathers = [f"const float x{j} = r{j}[a];" for j in range(count) if f"x{j}" in used]
+    numbers = translator.declarations()
+    draws = "\n    ".join([*numbers, *translator.draws])
+    constants = "\n    ".join([*numbers, *loads])
+    body = "\n      ".join(gathers)
+    source = "ancestors[i]" if kind == "move" else "first + i"
+    lists = {"ROWS": [rows for rows, _ in leaves], "OUT_ROWS": [rows for rows, _ in outs], "OUT_RANKS": [rank for _, rank in outs]}
+    arrays = "\n  ".join(f"static constexpr int {name}[] = {{{', '.join(map(str, [*values, 0]))}}};" for name, values in lists.items())
+    return f"""#include "stage.hpp"
+using namespace motes;
+struct Model {{
+  static constexpr int LEAVES = {len(leaves)}, OUTS = {len(outs)}, IN_ROWS = {count}, OUT_ROWS_ALL = {made};
+  static constexpr int TABLES = {len(translator.tables)}, NOISE = {translator.rows};
+  {arrays}
+  static void draw(const uint32_t* P, uint32_t begin, float (*noise)[BLOCK]) {{
+    {draws}
+  }}
+  static void lanes(const uint32_t* P, const Rows<Model>& rows, const int32_t* __restrict ancestors, int64_t first, int m,
+                    const float (*__restrict noise)[BLOCK], float* __restrict likelihood, float* __restrict ceiling) {{
+    {constants}
+#pragma omp simd
+    for (int i = 0; i < m; i++) {{
+      const {"int32_t" if kind == "move" else "int64_t"} a = {source};
+      {body}
+      {text}
+    }}
+  }}
+}};
+constexpr int Model::ROWS[], Model::OUT_ROWS[], Model::OUT_RANKS[];
+static void run(const Frame& frame, const Team& team) {{ motes::{kind}<Model>(frame, team); }}
+MOTES_KERNEL({kind}, run)
+"""
+
+
+def _words(text: str) -> set[str]:
+    return set("".join(c if c.isalnum() or c == "_" else " " for c in text).split())
+
+
+def call_move(stage: Stage, words: jax.Array, tables: Any, ancestors: jax.Array, leaves: Sequence[jax.Array]) -> list[jax.Array]:
+    """Return the arrays of the chosen ancestors, moved."""
+    made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
+    results = list(_call(stage.kernel, made, words, ancestors, *leaves, *tables))
+    return [results.pop(0) if changed else leaf[..., ancestors] for leaf, changed in zip(leaves, stage.changed, strict=True)]
+
+
+def call_weigh(
+    stage: Stage, words: jax.Array, tables: Any, log_weights: jax.Array, leaves: Sequence[jax.Array]
+) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
+    """Return normalized log weights `(n,)`, the judgement `(6,)` (see `logspace.joint_weights`) and the arrays, corrected."""
+    made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
+    judged = jax.ShapeDtypeStruct((6,), jnp.float32)
+    weights, found, *results = _call(stage.kernel, [log_weights, judged, *made], words, log_weights, *leaves, *tables)
+    return weights, found, [results.pop(0) if changed else leaf for leaf, changed in zip(leaves, stage.changed, strict=True)]
+
+
+def _call(name: str, results: Sequence[Any], *operands: jax.Array) -> Sequence[jax.Array]:
+    shapes = [jax.ShapeDtypeStruct(result.shape, result.dtype) for result in results]
+    return jax.ffi.ffi_call(name, shapes, vmap_method="expand_dims")(*operands)

@@ -1,0 +1,255 @@
+"""From a traced program over a cloud to a program for one particle, written in C++.
+
+The program is traced for a single particle, so that every array is small, and flattened to scalars. What does not depend on the particle
+is left to JAX, which works it out once and hands it over as parameters. That each particle is worked on alone is proved on a second trace,
+with a number of particles that no other size can be mistaken for (`lanes.py`).
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.extend
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core import random
+from motes.native import rules
+from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal
+
+MOST_STATEMENTS = 6_000
+"""Longer programs take compilers minutes."""
+
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "remat2": "jaxpr", "checkpoint": "jaxpr",
+         "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "custom_jvp_call_jaxpr": "fun_jaxpr"}  # fmt: skip
+"""Operations that are a program of their own, and where they keep it."""
+
+BLOCKS = {random.NORMAL: "normals", random.UNIFORM: "uniforms"}
+"""Names of the jitted functions that draw random numbers for all particles."""
+
+
+def inner(eqn: Any) -> tuple[Any, Sequence[Any]] | None:
+    """Return the program inside a call and its constants, or None for other operations."""
+    if eqn.primitive.name not in CALLS:
+        return None
+    program = eqn.params[CALLS[eqn.primitive.name]]
+    return (program.jaxpr, program.consts) if hasattr(program, "consts") else (program, ())
+
+
+def block_of(eqn: Any) -> str | None:
+    """Return which random numbers an operation draws, or None."""
+    return BLOCKS.get(eqn.params.get("name", "")) if eqn.primitive.name in ("jit", "pjit") else None
+
+
+class Translator:
+    """Walks a program and collects the C++ statements of what depends on the particle.
+
+    Values are JAX arrays (the same for all particles) or arrays of `Scalar`.
+
+    Attributes:
+        statements: C++, in order.
+        parameters: values that JAX works out, `()` or of any shape, in the order in which the kernel gets them.
+        draws: C++ calls that fill the rows of random numbers.
+        rows: number of rows of random numbers.
+        tables: large arrays that are looked up by the particle.
+    """
+
+    def __init__(self) -> None:
+        """Start with nothing."""
+        self.statements: list[str] = []
+        self.parameters: list[Any] = []
+        self.tables: list[Any] = []
+        self.draws: list[str] = []
+        self.rows = 0
+        self._count = 0
+        self._slots: dict[int, np.ndarray] = {}
+        self._kept: list[Any] = []
+
+    def inputs(self, first: int, shape: tuple[int, ...]) -> np.ndarray:
+        """Name the inputs of one particle, from row `first` on."""
+        return _array([Scalar(f"x{first + i}", "float") for i in range(int(np.prod(shape, dtype=int)))], shape)
+
+    def declarations(self) -> list[str]:
+        """C++ that gives the parameters their names and types."""
+        kinds = [kind for value in self.parameters for kind in [kind_of(value.dtype)] * int(np.size(value))]
+        read = {"float": "bits<float>(P[{0}])", "bool": "P[{0}] != 0", "int32_t": "(int32_t)P[{0}]", "uint32_t": "P[{0}]"}
+        return [f"const {kind} p{i} = {read[kind].format(i)};" for i, kind in enumerate(kinds)]
+
+    def words(self) -> jax.Array:
+        """Return the parameters as 32-bit words, `(p,)`."""
+        parts = [jnp.zeros((1,), jnp.uint32)] if not self.parameters else []
+        for value in self.parameters:
+            flat = jnp.ravel(jnp.asarray(value))
+            whole = flat.astype(jnp.uint32) if flat.dtype == bool else jax.lax.bitcast_convert_type(flat, jnp.uint32)
+            parts.append(whole)
+        return jnp.concatenate(parts)
+
+    def run(self, program: Any, constants: Sequence[Any], inputs: Sequence[Any]) -> list[Any]:
+        """Translate a program for given inputs and return its outputs."""
+        known: dict[Any, Any] = dict(zip([*program.constvars, *program.invars], [*constants, *inputs], strict=True))
+
+        def value(atom: Any) -> Any:
+            return np.asarray(atom.val, atom.aval.dtype) if hasattr(atom, "val") else known[atom]
+
+        for eqn in program.eqns:
+            results = self._equation(eqn, [value(atom) for atom in eqn.invars])
+            known.update(zip(eqn.outvars, results, strict=True))
+            if len(self.statements) > MOST_STATEMENTS:
+                raise Untranslatable(f"more than {MOST_STATEMENTS} scalar operations")
+        return [value(atom) for atom in program.outvars]
+
+    def _equation(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
+        block = block_of(eqn)
+        if block:
+            return [self._draw(block, operands[0], eqn.outvars[0].aval.shape)]
+        nested = inner(eqn)
+        if nested:
+            return self.run(*nested, operands)
+        if not any(is_lane(value) for value in operands):
+            return _by_jax(eqn, operands)
+        name = eqn.primitive.name
+        if name == "cond":
+            return self._branches(eqn, operands)
+        if name in MOVES:
+            return self._moved(eqn, operands)
+        if name in REDUCTIONS:
+            return [self._reduced(REDUCTIONS[name], self.scalars(operands[0]), eqn.params["axes"])]
+        if name == "dot_general":
+            return [self._product(self.scalars(operands[0]), self.scalars(operands[1]), eqn.params["dimension_numbers"])]
+        return [self._elementwise(name, [self.scalars(value) for value in operands], eqn.params)]
+
+    def scalars(self, value: Any) -> np.ndarray:
+        """Return a value as an array of scalars; what JAX works out becomes parameters."""
+        if is_lane(value):
+            return value
+        if isinstance(value, np.ndarray) and value.size <= 64:
+            kind = kind_of(value.dtype)
+            return _array([Scalar(literal(v, kind), kind) for v in value.reshape(-1)], value.shape)
+        if id(value) not in self._slots:
+            kind = kind_of(value.dtype)
+            first = sum(int(np.size(p)) for p in self.parameters)
+            self.parameters.append(value)
+            self._kept.append(value)  # an id is only good as long as its object lives
+            self._slots[id(value)] = _array([Scalar(f"p{first + i}", kind) for i in range(int(np.size(value)))], np.shape(value))
+        return self._slots[id(value)]
+
+    def _named(self, kind: str, text: str) -> Scalar:
+        self._count += 1
+        self.statements.append(f"const {kind} v{self._count} = {text};")
+        return Scalar(f"v{self._count}", kind)
+
+    def _elementwise(self, name: str, operands: list[np.ndarray], params: dict[str, Any]) -> np.ndarray:
+        found = formula(name, [operand.flat[0].kind for operand in operands if operand.size], params)
+        if found is None:
+            raise Untranslatable(f"the operation {name}")
+        text, kind = found
+        wide = np.broadcast_arrays(*operands)
+        results = [self._named(kind, text.format(*(operand.text for operand in each))) for each in zip(*(w.flat for w in wide), strict=True)]
+        return _array(results, wide[0].shape)
+
+    def _moved(self, eqn: Any, operands: list[Any]) -> list[np.ndarray]:
+        """Find where each element goes by moving their numbers instead."""
+        says_where = MOVES[eqn.primitive.name]
+        elements: list[Scalar] = []
+        numbers: list[Any] = []
+        for i, value in enumerate(operands):
+            if says_where(i):
+                if is_lane(value):
+                    raise Untranslatable(f"the operation {eqn.primitive.name} at places that depend on the particle")
+                if isinstance(value, jax.core.Tracer):
+                    raise Untranslatable(f"the operation {eqn.primitive.name} at places that are not known beforehand")
+                numbers.append(value)
+                continue
+            own = self.scalars(value)
+            numbers.append(np.arange(len(elements), len(elements) + own.size, dtype=np.int32).reshape(own.shape))
+            elements += list(own.flat)
+        moved = _by_jax(eqn, numbers)
+        outside = Scalar(literal(0, elements[0].kind), elements[0].kind)
+        return [_array([elements[j] if 0 <= j < len(elements) else outside for j in np.asarray(m).flat], np.shape(m)) for m in moved]
+
+    def _reduced(self, name: str, operand: np.ndarray, axes: Sequence[int]) -> np.ndarray:
+        rest = [a for a in range(operand.ndim) if a not in axes]
+        parts = operand.transpose([*axes, *rest]).reshape(-1, *(operand.shape[a] for a in rest))
+        if not len(parts):
+            raise Untranslatable("a reduction of nothing")
+        total = parts[0]
+        for part in parts[1:]:
+            total = self._elementwise(name, [total, part], {})
+        return total
+
+    def _product(self, a: np.ndarray, b: np.ndarray, dimensions: Any) -> np.ndarray:
+        (a_sum, b_sum), (a_same, b_same) = dimensions
+        a_rest = [i for i in range(a.ndim) if i not in (*a_sum, *a_same)]
+        b_rest = [i for i in range(b.ndim) if i not in (*b_sum, *b_same)]
+        same, rows, columns = [a.shape[i] for i in a_same], [a.shape[i] for i in a_rest], [b.shape[i] for i in b_rest]
+        terms = int(np.prod([a.shape[i] for i in a_sum], dtype=int))
+        left = a.transpose([*a_same, *a_rest, *a_sum]).reshape(int(np.prod(same, dtype=int)), -1, terms)
+        right = b.transpose([*b_same, *b_rest, *b_sum]).reshape(int(np.prod(same, dtype=int)), -1, terms)
+        results = [self._inner_product(x, y) for g in range(left.shape[0]) for x in left[g] for y in right[g]]
+        return _array(results, (*same, *rows, *columns))
+
+    def _inner_product(self, x: np.ndarray, y: np.ndarray) -> Scalar:
+        if not len(x) or x[0].kind != "float":
+            raise Untranslatable("a matrix product of nothing or of whole numbers")
+        text = f"{x[0].text} * {y[0].text}"
+        for one, other in zip(x[1:], y[1:], strict=True):
+            text = f"fma({one.text}, {other.text}, {text})"
+        return self._named("float", text)
+
+    def _branches(self, eqn: Any, operands: list[Any]) -> list[np.ndarray]:
+        """Work out every branch and select."""
+        branches = [self.run(branch.jaxpr, branch.consts, operands[1:]) for branch in eqn.params["branches"]]
+        which = self.scalars(operands[0])
+        chosen = [self.scalars(value) for value in branches[-1]]
+        for i in reversed(range(len(branches) - 1)):
+            mine = [self.scalars(value) for value in branches[i]]
+            here = self._elementwise("le", [which, _array([Scalar(literal(i, "int32_t"), "int32_t")], ())], {})
+            chosen = [self._elementwise("select_n", [here, old, new], {}) for old, new in zip(chosen, mine, strict=True)]
+        return chosen
+
+    def _draw(self, block: str, key: Any, shape: tuple[int, ...]) -> np.ndarray:
+        if is_lane(key):
+            raise Untranslatable("random numbers with a key of each particle's own")
+        first, second = self.scalars(key).flat
+        rows = int(np.prod(shape[:-1], dtype=int))
+        self.draws.append(f"{block}(Key{{{first.text}, {second.text}}}, begin, {rows}, noise + {self.rows});")
+        drawn = [Scalar(f"noise[{self.rows + r}][i]", "float") for r in range(rows)]
+        self.rows += rows
+        return _array(drawn, shape)
+
+
+def is_lane(value: Any) -> bool:
+    """Tell whether a value is an array of scalars of one particle."""
+    return isinstance(value, np.ndarray) and value.dtype == object
+
+
+def _array(elements: list[Scalar], shape: Sequence[int]) -> np.ndarray:
+    made = np.empty(len(elements), object)
+    for i, element in enumerate(elements):
+        made[i] = element
+    return made.reshape(tuple(shape))
+
+
+def _by_jax(eqn: Any, operands: list[Any]) -> Sequence[Any]:
+    """Let JAX work out an operation: at once where all is known, else as part of the program that is being traced."""
+    if any(isinstance(value, jax.core.Tracer) for value in operands):
+        results = eqn.primitive.bind(*operands, **eqn.params)
+        return results if eqn.primitive.multiple_results else [results]
+    with jax.ensure_compile_time_eval():
+        results = eqn.primitive.bind(*operands, **eqn.params)
+        return [_plain(value) for value in (results if eqn.primitive.multiple_results else [results])]
+
+
+def _plain(value: Any) -> Any:
+    """Make a known array a NumPy one (keys stay as they are)."""
+    if isinstance(value, jax.core.Tracer) or jnp.issubdtype(value.dtype, jax.dtypes.extended):
+        return value
+    return np.asarray(value)
+
+
+def traced(function: Callable[..., Any], leaves: Sequence[Any], n: int) -> Any:
+    """Trace a function of arrays `(..., n)` for another number of particles."""
+    return jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct((*leaf.shape[:-1], n), leaf.dtype) for leaf in leaves))
+
+
+__all__ = ["Translator", "Untranslatable", "block_of", "inner", "is_lane", "rules", "traced"]
