@@ -18,13 +18,13 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, weigh
+from motes.filters.interface import Info, TwoStageFilter, evolve, reweigh
 from motes.laws.conditional import wrap
 from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.models.mixed_linear import Affine, MixedLinearModel, initial_split
 from motes.models.split import SplitModel, split
-from motes.resampling.policy import ESS, Policy, resample
+from motes.resampling.policy import ESS, Policy
 from motes.resampling.schemes import Scheme, Systematic
 
 
@@ -74,34 +74,42 @@ class MarginalizedParticleFilter(TwoStageFilter):
 
     def predict(self, key: jax.Array, model: SplitModel, state: MarginalCloud, u: Any, t: Any) -> MarginalCloud:
         """Resample where needed, move the particles, then correct and predict the Kalman part."""
-        cloud = resample(random.child(key, random.RESAMPLE), self.scheme, self.policy, state)
-        own, other = (model.over(part, cloud.particles, u, t) for part in ("particle", "kalman"))
-        if cloud.particles.shape[0] == 0:
+        keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
+        example = state.particles[:, 0]
+
+        def move(noise_key: jax.Array, cloud: MarginalCloud) -> MarginalCloud:
+            own, other = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
+            if model.drives:
+                expected = cloud.kalman.through(own.A, own.f, own.Q)
+                surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(noise_key, own.f.shape[-1])
+                informed = cloud.kalman.corrected(surprise, own.A, own.Q).law
+                moved = expected.center + surprise
+            else:
+                informed, moved = cloud.kalman, Gaussian(own.f, own.Q).sample(noise_key, own.f.shape[-1])
+            f, A, Q = _decorrelated(own, other, model.cross_cov(cloud.particles, example, u, t), moved)
+            return replace(cloud, particles=moved, kalman=informed.through(A, f, Q))
+
+        def predict_only(noise_key: jax.Array, cloud: MarginalCloud) -> MarginalCloud:
+            other = model.over("kalman", cloud.particles, example, u, t)
             return replace(cloud, kalman=cloud.kalman.through(other.A, other.f, other.Q))
-        noise_key = random.child(key, random.NOISE)
-        if model.drives:
-            expected = cloud.kalman.through(own.A, own.f, own.Q)
-            surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(noise_key, self.n)
-            informed = cloud.kalman.corrected(surprise, own.A, own.Q).law
-            moved = expected.center + surprise
-        else:
-            informed, moved = cloud.kalman, Gaussian(own.f, own.Q).sample(noise_key, self.n)
-        f, A, Q = _decorrelated(own, other, model.cross_cov(cloud.particles, u, t), moved)
-        return replace(cloud, particles=moved, kalman=informed.through(A, f, Q))
+
+        return evolve(keys, self.scheme, self.policy, state, move if state.particles.shape[0] else predict_only)
 
     def correct(self, key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.Array, u: Any, t: Any) -> tuple[MarginalCloud, Info]:
         """Weigh each particle by its predictive density of y, and correct its Gaussian."""
-        if model.likelihood is not None:
-            whole = model.whole(state.particles)
-            likelihood, peak = model.likelihood.log_prob(y, whole, u, t), model.likelihood.ceiling(y, whole, u, t)
-            kalman = state.kalman
-        else:
-            h, C, R = model.over("sensor", state.particles, u, t)
-            prediction = h + linalg.times_vector(C, state.kalman.center)
+        example = state.particles[:, 0]
+
+        def judge(cloud: MarginalCloud) -> tuple[MarginalCloud, jax.Array, jax.Array]:
+            if model.likelihood is not None:
+                whole = model.whole(cloud.particles)
+                return cloud, model.likelihood.log_prob(y, whole, u, t), model.likelihood.ceiling(y, whole, u, t)
+            h, C, R = model.over("sensor", cloud.particles, example, u, t)
+            prediction = h + linalg.times_vector(C, cloud.kalman.center)
             innovation = wrap(y[:, None] - prediction, model.mixed.angles)
-            kalman, likelihood, peak = state.kalman.corrected(innovation, C, R, ~jnp.isnan(y))
-        weights, info = weigh(state.log_weights, likelihood, peak)
-        return replace(state, kalman=kalman, log_weights=weights), info
+            kalman, likelihood, peak = cloud.kalman.corrected(innovation, C, R, ~jnp.isnan(y))
+            return replace(cloud, kalman=kalman), likelihood, peak
+
+        return reweigh(state, judge)
 
 
 def _decorrelated(own: Affine, other: Affine, cross_cov: jax.Array | None, moved: jax.Array) -> Affine:

@@ -39,24 +39,27 @@ class SplitModel:
         zeros = jnp.zeros((len(self.mixed.linear), X_p.shape[-1]), X_p.dtype)
         return linalg.take(jnp.concatenate([X_p, zeros]), self.mixed.order)
 
-    def over(self, part: str, X_p: jax.Array, u: Any, t: Any) -> Affine:
-        """Evaluate one of "particle", "kalman", "sensor" over the cloud: f `(z, n)`, A and Q with or without the particle axis."""
+    def over(self, part: str, X_p: jax.Array, example: jax.Array, u: Any, t: Any) -> Affine:
+        """Evaluate one of "particle", "kalman", "sensor" over the cloud: f `(z, n)`, A and Q with or without the particle axis.
+
+        What does not depend on the particle is worked out at `example`, `(p,)`.
+        """
         function = getattr(self.mixed, part)
 
         def evaluate(x_p: jax.Array) -> Affine:
             return Affine(*(jnp.asarray(value).astype(x_p.dtype) for value in function(x_p, u, t)))
 
-        one = evaluate(X_p[:, 0])
+        one = evaluate(example)
         many = jax.vmap(evaluate, in_axes=-1, out_axes=-1)(X_p)
         return Affine(many.f, *(many[i] if (part, i) in self.varies else one[i] for i in (1, 2)))
 
-    def cross_cov(self, X_p: jax.Array, u: Any, t: Any) -> jax.Array | None:
-        """Covariance `(p, k, *n)` of the two process noises, or None when they are independent."""
+    def cross_cov(self, X_p: jax.Array, example: jax.Array, u: Any, t: Any) -> jax.Array | None:
+        """Covariance `(p, k, *n)` of the two process noises, or None when they are independent; `example` as in `over`."""
         function = self.mixed.cross_cov
         if function is None:
             return None
         if ("cross_cov", 2) not in self.varies:
-            return function(X_p[:, 0], u, t)
+            return function(example, u, t)
         return jax.vmap(lambda x_p: function(x_p, u, t), in_axes=-1, out_axes=-1)(X_p)
 
 

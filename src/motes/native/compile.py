@@ -17,9 +17,10 @@ from motes.io.private import private_folder
 HEADERS = Path(__file__).parent / "cpp"
 FLAGS = (
     "-std=c++17", "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fwrapv", "-fopenmp-simd",
-    "-fPIC", "-shared", "-w",
+    "-fPIC", "-shared", "-fvisibility=hidden", "-w",
 )  # fmt: skip
-"""No flag lets the compiler take NaN for impossible or reorder a sum that is not marked."""
+"""No flag lets the compiler take NaN for impossible or reorder a sum that is not marked. Hidden names keep kernels of different models, which
+share them, apart."""
 SECONDS = 300
 
 

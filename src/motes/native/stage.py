@@ -141,7 +141,6 @@ struct Model {{
     }}
   }}
 }};
-constexpr int Model::ROWS[], Model::OUT_ROWS[], Model::OUT_RANKS[];
 static void run(const Frame& frame, const Team& team) {{ motes::{kind}<Model>(frame, team); }}
 MOTES_KERNEL({kind}, run)
 """

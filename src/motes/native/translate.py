@@ -108,6 +108,8 @@ class Translator:
         if not any(is_lane(value) for value in operands):
             return _by_jax(eqn, operands)
         name = eqn.primitive.name
+        if name == "optimization_barrier":
+            return operands
         if name == "cond":
             return self._branches(eqn, operands)
         if name in MOVES:

@@ -3,7 +3,6 @@
 #pragma once
 #include <cmath>
 #include <cstdint>
-#include <cstring>
 
 #if defined(__FMA__) || defined(__ARM_FEATURE_FMA) || defined(__aarch64__)
 #define MOTES_FMA(a, b, c) __builtin_fmaf(a, b, c)
@@ -15,10 +14,7 @@ namespace motes {
 
 template <class To, class From>
 static inline __attribute__((always_inline)) To bits(From from) {
-  To to;
-  static_assert(sizeof(to) == sizeof(from));
-  std::memcpy(&to, &from, sizeof to);
-  return to;
+  return __builtin_bit_cast(To, from);
 }
 
 static inline __attribute__((always_inline)) float fma(float a, float b, float c) { return MOTES_FMA(a, b, c); }
@@ -238,9 +234,9 @@ static inline __attribute__((always_inline)) float remainder(float x, float y) {
   return size == (double)INF && __builtin_fabsf(x) < INF ? x : __builtin_copysignf((float)rest, x);
 }
 
-// inverse error function in the two pieces of Giles (2010), as XLA works it out
+// inverse error function in the two pieces of Giles (2010)
 static inline __attribute__((always_inline)) float erf_inv(float x) {
-  float w = -log1p(-x * x);
+  float size = __builtin_fabsf(x), w = -log1p(-x * x);
   float near = w - 2.5f, far = sqrt(w) - 3.f;
   float p = 2.81022636e-08f, q = -0.000200214257f;
   p = fma(p, near, 3.43273939e-07f), q = fma(q, far, 0.000100950558f);
@@ -251,7 +247,8 @@ static inline __attribute__((always_inline)) float erf_inv(float x) {
   p = fma(p, near, -0.00417768164f), q = fma(q, far, 0.00943887047f);
   p = fma(p, near, 0.246640727f), q = fma(q, far, 1.00167406f);
   p = fma(p, near, 1.50140941f), q = fma(q, far, 2.83297682f);
-  return (w < 5.f ? p : q) * x;
+  float inside = (w < 5.f ? p : q) * x;
+  return size == 1.f ? __builtin_copysignf(INF, x) : (size < 1.f ? inside : NOT_A_NUMBER);
 }
 
 }  // namespace motes

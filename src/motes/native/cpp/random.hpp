@@ -27,10 +27,27 @@ static inline __attribute__((always_inline)) Words threefry(Key key, uint32_t a,
   return {a, b};
 }
 
+template <class... Rest>
+static inline __attribute__((always_inline)) float polynomial(float x, float value, Rest... coefficients) {
+  return ((value = fma(value, x, coefficients)), ...);
+}
+
+// step by step as in motes.core.random
 static inline __attribute__((always_inline)) float to_normal(uint32_t word) {
   float centered = (float)(int32_t)word * 4.65661287e-10f;
   centered = centered > 0.99999994f ? 0.99999994f : (centered < -0.99999994f ? -0.99999994f : centered);
-  return 1.41421354f * erf_inv(centered);
+  int32_t shifted = bits<int32_t>((1.f - centered) * (1.f + centered)) - 0x3F3504F3;
+  float rest = bits<float>((shifted & 0x007FFFFF) + 0x3F3504F3) - 1.f;
+  float log = polynomial(rest, -0.101022407f, 0.164199948f, -0.173334658f, 0.198730454f, -0.249593437f, 0.333361834f, -0.500006676f,
+                         0.999999821f);
+  float log_and_more = fma((float)(shifted >> 23), 0.693147182f, fma(log, rest, 2.5f));
+  float w = 2.5f - log_and_more;
+  float near = polynomial(-log_and_more, 2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 0.00021858087f,
+                          -0.00125372503f, -0.00417768164f, 0.246640727f, 1.50140941f);
+  float far = polynomial(sqrt(w) - 3.f, -0.000200214257f, 0.000100950558f, 0.00134934322f, -0.00367342844f, 0.00573950773f,
+                         -0.0076224613f, 0.00943887047f, 1.00167406f, 2.83297682f);
+  float scale = w < 5.f ? near : far;
+  return 1.41421354f * (scale * centered);
 }
 
 // rows of standard normal numbers for the BLOCK particles from `begin` on
@@ -43,17 +60,20 @@ static inline void normals(Key key, uint32_t begin, int rows, float (*out)[BLOCK
       words[0][i] = w.first, words[1][i] = w.second;
     }
     for (int half = 0; half < 2 && 2 * pair + half < rows; half++) {
+      float* __restrict row = out[2 * pair + half];
+      const uint32_t* __restrict word = words[half];
 #pragma omp simd
-      for (int i = 0; i < BLOCK; i++) out[2 * pair + half][i] = to_normal(words[half][i]);
+      for (int i = 0; i < BLOCK; i++) row[i] = to_normal(word[i]);
     }
   }
 }
 
 // rows of uniform numbers in [0, 1) for the BLOCK particles from `begin` on
 static inline void uniforms(Key key, uint32_t begin, int rows, float (*out)[BLOCK]) {
-  for (int row = 0; row < rows; row++) {
+  for (int r = 0; r < rows; r++) {
+    float* __restrict row = out[r];
 #pragma omp simd
-    for (int i = 0; i < BLOCK; i++) out[row][i] = (float)(threefry(key, begin + i, row ^ UNIFORM_TAG).first >> 8) * 5.96046448e-08f;
+    for (int i = 0; i < BLOCK; i++) row[i] = (float)(threefry(key, begin + i, r ^ UNIFORM_TAG).first >> 8) * 5.96046448e-08f;
   }
 }
 

@@ -161,7 +161,8 @@ static inline bool asked_for_metadata(XLA_FFI_CallFrame* call) {
 }
 
 #define MOTES_KERNEL(name, body)                                     \
-  extern "C" XLA_FFI_Error* name(XLA_FFI_CallFrame* call) {          \
+  extern "C" __attribute__((visibility("default")))                  \
+  XLA_FFI_Error* name(XLA_FFI_CallFrame* call) {                     \
     if (motes::asked_for_metadata(call)) return nullptr;             \
     body(motes::Frame{call}, motes::Team(call));                     \
     return nullptr;                                                  \

@@ -1,6 +1,8 @@
 // From log likelihoods to normalized log weights, and from log weights to ancestors; sums in double precision, block by block, in an
 // order that does not depend on the number of threads.
 #pragma once
+#include <cstring>
+
 #include "runtime.hpp"
 
 namespace motes {
