@@ -4,6 +4,8 @@ from .core.checks import FileError as FileError
 from .core.checks import MissingExtraError as MissingExtraError
 from .core.checks import MotesError as MotesError
 from .filters import keep as keep
+from .filters.explain import Explanation as Explanation
+from .filters.explain import explain as explain
 from .filters.extended_kalman import ExtendedKalmanFilter as ExtendedKalmanFilter
 from .filters.history import History as History
 from .filters.history import joined as joined
@@ -35,6 +37,7 @@ from .models.state_space import StateSpaceModel as StateSpaceModel
 from .models.state_space import simulate as simulate
 from .models.structure import Structure as Structure
 from .models.structure import structure as structure
+from .native.choice import engine as engine
 from .plotting.plot import plot as plot
 from .resampling.policy import ESS as ESS
 from .resampling.policy import Always as Always

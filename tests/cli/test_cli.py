@@ -193,18 +193,18 @@ def test_machines_that_cannot_are_told_in_one_line(monkeypatch, capsys, error, w
 
 
 def test_cache_that_others_can_use_is_made_private(tmp_path, monkeypatch):
-    from motes.cli import compiled
+    from motes.io.private import private_folder
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     place = tmp_path / "motes" / "compiled"
     place.mkdir(parents=True)
     place.chmod(0o777)
-    assert compiled.private_folder() == place and place.stat().st_mode & 0o777 == 0o700
+    assert private_folder("compiled") == place and place.stat().st_mode & 0o777 == 0o700
     shutil.rmtree(place)
     place.symlink_to(tmp_path)
-    assert compiled.private_folder() is None
+    assert private_folder("compiled") is None
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
-    assert compiled.private_folder() is None
+    assert private_folder("compiled") is None
 
 
 def shell(*arguments, **environment):

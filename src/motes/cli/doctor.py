@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 
-from motes.cli import compiled
 from motes.cli.options import from_flags
+from motes.io import private
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,20 @@ def report() -> Iterator[tuple[str, str]]:
     """Yield name and value of each line."""
     import jax
 
+    from motes.core.engine import chosen
+    from motes.native import blocks, compile
+
     yield "motes", metadata.version("motes")
     yield "python", f"{platform.python_version()} ({sys.executable})"
     yield "system", f"{platform.system()} {platform.release()} {platform.machine()}"
     yield "processors", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
     yield "devices", _devices()
     yield "precision", {"float64": "float64"}.get(str(jax.numpy.result_type(float)), "float32 (set JAX_ENABLE_X64=1 for float64)")
-    place = compiled.private_folder()
-    yield "compiled", str(place) if place else f"not kept: {compiled.folder()} cannot be used"
+    for kind in ("compiled", "native"):
+        found = private.private_folder(kind)
+        yield f"{kind} code", str(found) if found else f"not kept: {private.place(kind)} cannot be used"
+    yield "engine", chosen()
+    yield "native engine", blocks.standing() or f"ready, compiled by {compile.compiler()}"
     for package, extra in sorted(packages().items()):
         yield package, _version(package) or f"not installed (pip install 'motes[{extra}]')"
 

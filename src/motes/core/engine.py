@@ -5,56 +5,46 @@ the marked operations; they are used while the native engine is chosen and retur
 """
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import wraps
 from typing import Any, TypeVar, cast
+
+import jax
 
 from motes.core import checks
 
 ENGINES = ("jax", "native")
 VARIABLE = "MOTES_ENGINE"
 
-_chosen: ContextVar[str | None] = ContextVar("engine", default=None)
+# part of the key of everything that JAX compiles: functions that a user jitted are traced anew under another engine
+_context = jax.make_user_context(None)
 _faster: dict[str, Callable[..., Any]] = {}
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def chosen() -> str:
-    """Return the engine in force: that of the nearest `with engine(...)`, else of the environment variable MOTES_ENGINE, else "jax".
+    """Return the engine in force: that of the nearest `using`, else of the environment variable MOTES_ENGINE, else "jax".
 
     Raises:
         MotesError: the variable names no engine.
     """
-    name = _chosen.get()
-    if name is None:
-        name = os.environ.get(VARIABLE) or "jax"
-        checks.option(VARIABLE, name, ENGINES)
+    if _context.value is not None:
+        return _context.value
+    name = os.environ.get(VARIABLE) or "jax"
+    checks.option(VARIABLE, name, ENGINES)
     return name
 
 
-@contextmanager
-def engine(name: str) -> Iterator[None]:
-    """Choose the engine for the calls inside a `with` block: `with mo.engine("native"): mo.run(...)`.
-
-    Results of the two engines agree up to rounding; random numbers are the same. What the native engine cannot do (no compiler, a function
-    it cannot translate, float64, an accelerator) is done by JAX; `mo.explain` says what runs and why. A function that was jitted outside
-    keeps the engine it was traced with.
-
-    Args:
-        name: "jax" or "native".
+def using(name: str) -> AbstractContextManager[None]:
+    """Choose an engine for what is called inside a `with` block.
 
     Raises:
         MotesError: there is no such engine.
     """
     checks.option("engine", name, ENGINES)
-    token = _chosen.set(name)
-    try:
-        yield
-    finally:
-        _chosen.reset(token)
+    return _context(name)
 
 
 def replaceable(operation: F) -> F:

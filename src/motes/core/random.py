@@ -78,12 +78,12 @@ def normal(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Arra
         centered = jnp.clip(bits.astype(jnp.float64) * 2.0**-63, -1 + 2.0**-53, 1 - 2.0**-53)
         return (np.sqrt(2) * jax.lax.erf_inv(centered)).reshape(shape)
     rows = int(np.prod(shape[:-1], dtype=np.int64))
-    return _normal_numbers(jax.random.key_data(key), rows, shape[-1], engine.chosen()).reshape(shape).astype(dtype)
+    return _normal_numbers(jax.random.key_data(key), rows, shape[-1]).reshape(shape).astype(dtype)
 
 
-@partial(jax.jit, static_argnums=(1, 2, 3))
-def _normal_numbers(key: jax.Array, rows: int, n: int, engine: str) -> jax.Array:
-    # a jitted function keeps its name in traced programs, where the native engine looks for it; the engine is part of what is compiled
+@partial(jax.jit, static_argnums=(1, 2))
+def _normal_numbers(key: jax.Array, rows: int, n: int) -> jax.Array:
+    # a jitted function keeps its name in traced programs, where the native engine looks for it
     return normal_block(key, rows, n)
 
 

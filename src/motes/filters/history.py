@@ -46,6 +46,7 @@ class History:
         names: names of the states.
         label: the filter, as it prints.
         has_evidence: whether the filter knows its likelihood.
+        engine: what did the work: "jax", "native", or "native in part" (see `engine` and `explain`).
     """
 
     kept: dict[str, Any]
@@ -55,6 +56,7 @@ class History:
     names: tuple[str, ...] = static()
     label: str = static()
     has_evidence: bool = static(default=True)
+    engine: str = static(default="jax")
 
     def _kept(self, name: str) -> Any:
         if name not in self.kept:
@@ -132,7 +134,7 @@ class History:
         for name in ("log_evidence", "ess", "collapsed", "invalid"):
             data[name] = (("time",), np.asarray(getattr(self.info, name)))
         names = list(self.names)
-        attributes = archive.provenance() | {"filter": self.label}
+        attributes = archive.provenance() | {"filter": self.label, "engine": self.engine}
         if self.has_evidence:
             data["log_likelihood"] = ((), np.asarray(self.log_likelihood))
         return xarray.Dataset(data, coords={"time": steps, "state": names, "state2": names}, attrs=attributes)
@@ -149,7 +151,7 @@ class History:
         if path.suffix == ".nc":
             return archive.write_dataset(path, self.to_xarray())
         if path.suffix == ".npz":
-            texts = {"names": list(self.names), "filter": self.label, "has_evidence": self.has_evidence}
+            texts = {"names": list(self.names), "filter": self.label, "has_evidence": self.has_evidence, "engine": self.engine}
             return archive.write_tree(path, self._data(), texts, kind="history")
         checks.refuse(str(path), "a name that ends in .nc or .npz", path.suffix or "no ending", error=checks.FileError)
 
@@ -168,7 +170,8 @@ class History:
         last = dict(tree["last"])
         evidence = RunningSum(**{name: jnp.asarray(value) for name, value in last.pop("evidence").items()})
         carry = Carry(state=last.get("state"), evidence=evidence, y=last["y"], u=last.get("u"), step=last["step"])
-        return cls(tree.get("kept", {}), info, carry, tree["start"], tuple(texts["names"]), texts["filter"], bool(texts["has_evidence"]))
+        labels = (tuple(texts["names"]), texts["filter"], bool(texts["has_evidence"]), texts["engine"])
+        return cls(tree.get("kept", {}), info, carry, tree["start"], *labels)
 
 
 def joined(pieces: Sequence[History]) -> History:

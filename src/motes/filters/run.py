@@ -17,6 +17,7 @@ from motes.filters.history import Carry, History
 from motes.filters.interface import Filter, Info, as_state_space
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import Previous, StateSpaceModel, decorrelated, measurement_size, step_inputs
+from motes.native import report
 
 Keep = Callable[[Any], dict[str, Any]]
 
@@ -77,8 +78,11 @@ def run_in_chunks(
 
 @partial(jax.jit, static_argnames=("keep",))
 def _run(key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
-    engine = Engine(key, filter, model)
+    with report.collected() as notes:
+        return replace(_scanned(Engine(key, filter, model), ys, inputs, keep, first), engine=report.summary(notes))
 
+
+def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
     def advance(carry: Carry, now: tuple[jax.Array, Inputs]) -> tuple[Carry, tuple[Any, Info]]:
         carry, info = engine.step(carry, *now)
         return carry, (keep(carry.state), info)
@@ -92,7 +96,7 @@ def _run(key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inpu
     else:
         start = first.step + 1
         carry, (kept, infos) = jax.lax.scan(advance, first, (ys, inputs))
-    return History(kept, infos, carry, start, model.names, "", engine.filter.has_evidence)
+    return History(kept, infos, carry, start, engine.given.names, "", engine.filter.has_evidence)
 
 
 class Engine:

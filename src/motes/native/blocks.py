@@ -45,7 +45,7 @@ def _call(symbol: str, results: Any, *operands: jax.Array) -> Any:
 
 
 def differentiable(native: Callable[..., Any], pure: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the native function with the derivatives of the pure one."""
+    """Return the native function with the derivatives of the pure one; neither may close over arrays."""
     function = jax.custom_jvp(native)
     function.defjvp(lambda primals, tangents: jax.jvp(pure, primals, tangents))
     return function
@@ -80,13 +80,16 @@ def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.A
     n = log_weights.shape[0]
     shapes = (jax.ShapeDtypeStruct((n,), jnp.int32), jax.ShapeDtypeStruct((n,), jnp.float32))
 
-    def pure(log_weights: jax.Array, knobs: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def native(log_weights: jax.Array, knobs: jax.Array, policy: Policy) -> tuple[jax.Array, jax.Array]:
+        return tuple(_call("ancestors", shapes, log_weights, knobs))
+
+    def pure(log_weights: jax.Array, knobs: jax.Array, policy: Policy) -> tuple[jax.Array, jax.Array]:
         needed = policy.needed(log_weights)
         drawn = scheme.at(knobs[0], log_weights, n)
         equal = logspace.uniform_weights(n, log_weights.dtype)
         return jnp.where(needed, drawn, jnp.arange(n, dtype=jnp.int32)), jnp.where(needed, equal, log_weights)
 
-    return differentiable(lambda *given: tuple(_call("ancestors", shapes, *given)), pure)(log_weights, knobs)
+    return differentiable(native, pure)(log_weights, knobs, policy)
 
 
 def resample(key: jax.Array, scheme: Scheme, policy: Policy, law: Any) -> Any:

@@ -1,0 +1,58 @@
+"""What runs a filter on a model, and why: found by tracing, nothing is run."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import engine as engines
+from motes.core.record import record, static
+from motes.core.types import Inputs
+from motes.filters.interface import Filter, as_state_space
+from motes.filters.run import Engine
+from motes.models.state_space import measurement_size
+from motes.native import report
+
+
+@record
+class Explanation:
+    """How a filter runs.
+
+    Attributes:
+        engine: the engine in force, "jax" or "native".
+        stages: for each stage of the filter that has native kernels, how the native engine runs it and why.
+    """
+
+    engine: str = static()
+    stages: tuple[tuple[str, str], ...] = static()
+
+    def __str__(self) -> str:
+        """Print as a table."""
+        stages = self.stages or (("all", f"{report.JAX}: the filter has no stage with native kernels"),)
+        hint = "" if self.engine == "native" else '   (choose with `with mo.engine("native"):` or MOTES_ENGINE=native)'
+        lines = [f"engine in force   {self.engine}{hint}", "on the native engine:"]
+        return "\n".join([*lines, *(f"  {name:<16}{text}" for name, text in stages)])
+
+
+def explain(filter: Filter, model: Any, inputs: Inputs = None, y: Any = None) -> Explanation:
+    """Say which engine runs each stage of a filter on a model, and why.
+
+    Args:
+        filter: the filter.
+        model: state-space or mixed linear model.
+        inputs: example of the inputs of one step, where the model's functions use them.
+        y: example of a measurement `(y,)`, where the sensor is a `Custom` density.
+
+    Raises:
+        MotesError: filter and model do not fit each other.
+    """
+    size = measurement_size(as_state_space("explain", model), inputs)
+    given = jnp.zeros((size or 1,), model.dtype) if y is None else jnp.asarray(y, model.dtype)
+
+    def once(key: jax.Array, filter: Filter, model: Any, y: jax.Array, u: Any) -> Any:
+        parts = Engine(key, filter, model)
+        return parts.step(parts.begin(y, u)[0], y, u)
+
+    with engines.using("native"), report.collected() as notes:
+        jax.eval_shape(once, jax.random.key(0), filter, model, given, inputs)
+    return Explanation(engines.chosen(), tuple(sorted(notes.items())))
