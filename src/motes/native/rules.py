@@ -87,8 +87,9 @@ def formula(name: str, kinds: list[str], params: dict[str, Any]) -> tuple[str, s
         return "({0} > 0) - ({0} < 0)", first
     if name == "convert_element_type":
         return _conversion(first, kind_of(params["new_dtype"]))
-    if name == "select_n" and len(kinds) == 3 and first == "bool":
-        return "{0} ? {2} : {1}", kinds[1]
+    if name == "select_n":
+        last = f"{{{len(kinds) - 1}}}"
+        return "".join(f"{{0}} <= {i} ? {{{i + 1}}} : " for i in range(len(kinds) - 2)) + last, kinds[1]
     if name == "integer_pow" and first == "float":
         return _whole_power(params["y"]), first
     if name == "round" and first == "float":

@@ -141,11 +141,13 @@ class Translator:
         return Scalar(f"v{self._count}", kind)
 
     def _elementwise(self, name: str, operands: list[np.ndarray], params: dict[str, Any]) -> np.ndarray:
-        found = formula(name, [operand.flat[0].kind for operand in operands if operand.size], params)
+        wide = np.broadcast_arrays(*operands)
+        if not wide[0].size:
+            return wide[0]
+        found = formula(name, [operand.flat[0].kind for operand in operands], params)
         if found is None:
             raise Untranslatable(f"the operation {name}")
         text, kind = found
-        wide = np.broadcast_arrays(*operands)
         results = [self._named(kind, text.format(*(operand.text for operand in each))) for each in zip(*(w.flat for w in wide), strict=True)]
         return _array(results, wide[0].shape)
 
@@ -166,14 +168,14 @@ class Translator:
             numbers.append(np.arange(len(elements), len(elements) + own.size, dtype=np.int32).reshape(own.shape))
             elements += list(own.flat)
         moved = _by_jax(eqn, numbers)
-        outside = Scalar(literal(0, elements[0].kind), elements[0].kind)
-        return [_array([elements[j] if 0 <= j < len(elements) else outside for j in np.asarray(m).flat], np.shape(m)) for m in moved]
+        return [_array([elements[j] for j in np.asarray(m).flat], np.shape(m)) for m in moved]
 
     def _reduced(self, name: str, operand: np.ndarray, axes: Sequence[int]) -> np.ndarray:
         rest = [a for a in range(operand.ndim) if a not in axes]
-        parts = operand.transpose([*axes, *rest]).reshape(-1, *(operand.shape[a] for a in rest))
-        if not len(parts):
+        count = int(np.prod([operand.shape[a] for a in axes], dtype=int))
+        if not count:
             raise Untranslatable("a reduction of nothing")
+        parts = operand.transpose([*axes, *rest]).reshape(count, *(operand.shape[a] for a in rest))
         total = parts[0]
         for part in parts[1:]:
             total = self._elementwise(name, [total, part], {})
@@ -184,15 +186,17 @@ class Translator:
         a_rest = [i for i in range(a.ndim) if i not in (*a_sum, *a_same)]
         b_rest = [i for i in range(b.ndim) if i not in (*b_sum, *b_same)]
         same, rows, columns = [a.shape[i] for i in a_same], [a.shape[i] for i in a_rest], [b.shape[i] for i in b_rest]
-        terms = int(np.prod([a.shape[i] for i in a_sum], dtype=int))
-        left = a.transpose([*a_same, *a_rest, *a_sum]).reshape(int(np.prod(same, dtype=int)), -1, terms)
-        right = b.transpose([*b_same, *b_rest, *b_sum]).reshape(int(np.prod(same, dtype=int)), -1, terms)
-        results = [self._inner_product(x, y) for g in range(left.shape[0]) for x in left[g] for y in right[g]]
+        sizes = [int(np.prod(group, dtype=int)) for group in (same, rows, columns, [a.shape[i] for i in a_sum])]
+        left = a.transpose([*a_same, *a_rest, *a_sum]).reshape(sizes[0], sizes[1], sizes[3])
+        right = b.transpose([*b_same, *b_rest, *b_sum]).reshape(sizes[0], sizes[2], sizes[3])
+        results = [self._inner_product(x, y) for g in range(sizes[0]) for x in left[g] for y in right[g]]
         return _array(results, (*same, *rows, *columns))
 
     def _inner_product(self, x: np.ndarray, y: np.ndarray) -> Scalar:
-        if not len(x) or x[0].kind != "float":
-            raise Untranslatable("a matrix product of nothing or of whole numbers")
+        if not len(x):
+            return Scalar(literal(0, "float"), "float")
+        if x[0].kind != "float":
+            raise Untranslatable("a matrix product of whole numbers")
         text = f"{x[0].text} * {y[0].text}"
         for one, other in zip(x[1:], y[1:], strict=True):
             text = f"fma({one.text}, {other.text}, {text})"
@@ -202,12 +206,7 @@ class Translator:
         """Work out every branch and select."""
         branches = [self.run(branch.jaxpr, branch.consts, operands[1:]) for branch in eqn.params["branches"]]
         which = self.scalars(operands[0])
-        chosen = [self.scalars(value) for value in branches[-1]]
-        for i in reversed(range(len(branches) - 1)):
-            mine = [self.scalars(value) for value in branches[i]]
-            here = self._elementwise("le", [which, _array([Scalar(literal(i, "int32_t"), "int32_t")], ())], {})
-            chosen = [self._elementwise("select_n", [here, old, new], {}) for old, new in zip(chosen, mine, strict=True)]
-        return chosen
+        return [self._elementwise("select_n", [which, *map(self.scalars, cases)], {}) for cases in zip(*branches, strict=True)]
 
     def _draw(self, block: str, key: Any, shape: tuple[int, ...]) -> np.ndarray:
         if is_lane(key):

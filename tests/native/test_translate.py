@@ -1,0 +1,127 @@
+"""Traced programs as native kernels: the same numbers as JAX, or a refusal, never something else."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from native_tools import by_jax, natively, needs_compiler
+
+from motes.core import random
+from motes.native.rules import Untranslatable
+
+X = np.random.default_rng(1).normal(size=(3, 777)).astype(np.float32)
+A = np.random.default_rng(2).normal(size=(3, 3)).astype(np.float32)
+
+
+def each(function):
+    """A function of one state, over the cloud."""
+    return lambda X: [jax.vmap(function, in_axes=-1, out_axes=-1)(X)]
+
+
+def turned(x):
+    angle = 0.3 * jnp.tanh(x[0])
+    rotation = jnp.array([[jnp.cos(angle), -jnp.sin(angle)], [jnp.sin(angle), jnp.cos(angle)]])
+    return x.at[1:].set(rotation @ x[1:])
+
+
+@jax.custom_jvp
+def squared(x):
+    return x * x
+
+
+squared.defjvp(lambda primals, tangents: (primals[0] ** 2, 2 * primals[0] * tangents[0]))
+
+PROGRAMS = {
+    "growth": each(lambda x: x / 2 + 25 * x / (1 + x**2) + 8 * jnp.cos(1.2 * 3)),
+    "matrix": each(lambda x: A @ x),
+    "turned": each(turned),
+    "where": each(lambda x: jnp.where(x[0] > 0, x * x[1], -x)),
+    "cond": each(lambda x: jax.lax.cond(x[0] > 0, lambda x: x + 1, lambda x: x * 2, x)),
+    "switch": each(lambda x: jax.lax.switch(jnp.int32(jnp.floor(x[0])), [lambda x: x, lambda x: x * 2, lambda x: x * 3], x)),
+    "reduce": each(lambda x: x - jnp.max(x) + jnp.sum(x) * jnp.prod(x) - jnp.min(x) + jnp.any(x > 1)),
+    "norm": each(lambda x: x / jnp.linalg.norm(x)),
+    "outer": each(lambda x: (jnp.outer(x, x) @ x)[::-1]),
+    "einsum": each(lambda x: jnp.einsum("ij,j,k->i", A, x, x)),
+    "concatenated": each(lambda x: jnp.concatenate([x[1:], jnp.atleast_1d(jnp.arctan2(x[0], x[1]))])),
+    "stacked": each(lambda x: jnp.stack([x[2], x[0], 0.0 * x[1] + 4])),
+    "wrapped": each(lambda x: jnp.mod(x + jnp.pi, 2 * jnp.pi) - jnp.pi),
+    "clipped": each(lambda x: jnp.clip(x, -0.5, 0.25) + jnp.sign(x) * jnp.abs(x) ** 1.5),
+    "powers": each(lambda x: x**3 + (1 + x**2) ** -2 + jnp.square(x) + jnp.power(jnp.abs(x), 0.3)),
+    "logical": each(lambda x: jnp.where((x > 0) & ~(x > 1) | (x < -1), x, 0.0)),
+    "picked": each(lambda x: x[jnp.array([2, 0, 0])] + jax.lax.dynamic_slice(x, (1,), (1,))),
+    "custom derivative": each(lambda x: squared(x)),
+    "jitted inside": each(jax.jit(lambda x: jnp.sort(A, axis=0) @ jnp.sin(x))),
+    "gradient inside": each(lambda x: jax.grad(lambda z: jnp.sum(jnp.sin(z) ** 2 * z[0]))(x)),
+    "softplus": each(lambda x: jax.nn.softplus(x) + jax.nn.relu(x) + jax.nn.sigmoid(x)),
+    "nan": each(lambda x: jnp.where(x > 0, jnp.log(x), jnp.nan)),
+    "whole cloud": lambda X: [jnp.roll(X, 1, axis=0) * jnp.float32(2) + jnp.zeros((3, 1))],
+    "two steps": each(lambda x: jax.lax.fori_loop(0, 1, lambda i, z: z + 1, x) if False else jnp.flip(x) + jnp.cumsum(jnp.ones(3))),
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_same_numbers_as_jax(name):
+    ours, wanted = natively(PROGRAMS[name], X)[0], by_jax(PROGRAMS[name], X)[0]
+    assert ours.shape == wanted.shape and np.array_equal(np.isnan(ours), np.isnan(wanted))
+    assert np.allclose(ours, wanted, rtol=2e-6, atol=2e-6, equal_nan=True)
+
+
+@needs_compiler
+def test_parameters_are_taken_from_the_outside():
+    """What JAX works out around the kernel, under jit and vmap, reaches it; the same kernel serves all values."""
+
+    def moved(scale, shift, flag):
+        def function(X):
+            return [jnp.where(flag, X * jnp.exp(scale), X + shift[:, None])]
+
+        return natively_traced(function, X)
+
+    jitted = jax.jit(jax.vmap(moved))
+    scale, shift, flag = np.array([0.1, 0.7], np.float32), np.arange(6, dtype=np.float32).reshape(2, 3), np.array([True, False])
+    ours = np.asarray(jitted(scale, shift, flag))
+    assert np.allclose(ours[0], X * np.exp(scale[0]), rtol=1e-6) and np.allclose(ours[1], X + shift[1][:, None], rtol=1e-6)
+
+
+def natively_traced(function, X):
+    from motes.native.stage import call_move, movement
+
+    stage = movement(function, [jnp.asarray(X)])
+    return call_move(stage, stage.words, stage.tables, jnp.arange(X.shape[1], dtype=jnp.int32), [jnp.asarray(X)])[0]
+
+
+ACROSS = {
+    "mean over particles": lambda X: [X - X.mean(axis=1, keepdims=True)],
+    "neighbors": lambda X: [jnp.roll(X, 1, axis=1)],
+    "reversed": lambda X: [X[:, ::-1]],
+    "sorted": lambda X: [jnp.sort(X, axis=1)],
+    "running sum": lambda X: [jnp.cumsum(X, axis=1)],
+    "reshaped": lambda X: [X.reshape(-1, 3).T],
+    "first particle": lambda X: [X - X[:, :1]],
+    "numbered": lambda X: [X + jnp.arange(X.shape[1])],
+    "permuted": lambda X: [X[:, jnp.arange(X.shape[1])[::-1]]],
+    "one particle set": lambda X: [X.at[:, 0].set(0.0)],
+    "one particle updated": lambda X: [jax.lax.dynamic_update_slice(X, jnp.zeros((3, 1)), (0, 0))],
+    "shifted by padding": lambda X: [jax.lax.pad(X, jnp.float32(0), ((0, 0, 0), (1, -1, 0)))],
+    "matrix of particles": lambda X: [(X @ X.T) @ X],
+    "own numbers of each": lambda X: [X + jax.random.normal(jax.random.key(0), X.shape)],
+    "key of each": lambda X: [X + jax.vmap(lambda key: jax.random.uniform(key))(jax.random.split(jax.random.key(0), X.shape[1]))],
+    "our numbers, sums over particles": lambda X: [X + random.normal(jax.random.key(0), X.shape, jnp.float32).sum(axis=1)[:, None]],
+}
+
+
+@pytest.mark.parametrize("name", ACROSS)
+def test_programs_in_which_particles_meet_are_refused(name):
+    with pytest.raises(Untranslatable):
+        natively(ACROSS[name], X)
+
+
+@pytest.mark.parametrize("program", [
+    each(lambda x: jax.lax.while_loop(lambda z: z[0] < 3, lambda z: z + 1, x)),
+    each(lambda x: jnp.linalg.solve(jnp.eye(3) + jnp.outer(x, x), x)),
+    each(lambda x: x + jax.pure_callback(lambda z: np.asarray(z), jax.ShapeDtypeStruct((3,), jnp.float32), x, vmap_method="expand_dims")),
+    each(lambda x: x + x[jnp.int32(x[0])]),
+])  # fmt: skip
+def test_unknown_operations_are_refused(program):
+    with pytest.raises(Untranslatable):
+        natively(program, X)
