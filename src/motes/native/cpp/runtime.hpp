@@ -4,6 +4,7 @@
 #include <cstdlib>
 #include <memory>
 #include <mutex>
+#include <thread>
 #include <vector>
 
 #include "random.hpp"
@@ -142,9 +143,10 @@ class Team {
       if (api->XLA_FFI_ThreadPool_Schedule(&args)) delete ticket;
     }
     state->help();
-    while (state->done.load(std::memory_order_acquire) < count) {
+    for (int64_t spins = 0; state->done.load(std::memory_order_acquire) < count; spins++) {
+      if (spins > 4000) std::this_thread::yield();  // a helper has lost its processor to somebody else
 #if defined(__x86_64__)
-      __builtin_ia32_pause();
+      else __builtin_ia32_pause();
 #endif
     }
   }

@@ -1,0 +1,124 @@
+"""Kernels without a model against exact arithmetic: ancestors, weights, moments, on ordinary and on hostile weights."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from native_tools import needs_compiler
+
+import motes as mo
+from motes.core import engine, logspace, random
+from motes.laws.cloud import weighted_moments
+from motes.native import blocks
+
+pytestmark = needs_compiler
+
+
+def log_weights(kind, n):
+    generator = np.random.default_rng(n)
+    with np.errstate(divide="ignore"):
+        raw = {
+            "mild": generator.normal(size=n), "wild": 30 * generator.normal(size=n), "equal": np.zeros(n),
+            "one": np.where(np.arange(n) == n // 3, 0.0, -np.inf), "last": np.where(np.arange(n) == n - 1, 0.0, -np.inf),
+            "halves": np.where(np.arange(n) < n // 2, 0.0, -np.inf), "gaps": np.where(np.arange(n) % 7 == 3, generator.normal(size=n), -np.inf),
+            "steep": -np.arange(n) / 50.0, "tiny tail": np.where(np.arange(n) < 5, 0.0, -30.0),
+        }[kind]  # fmt: skip
+    return logspace.normalize(jnp.asarray(raw, jnp.float32))[0]
+
+
+KINDS = ("mild", "wild", "equal", "one", "last", "halves", "gaps", "steep", "tiny tail")
+
+
+def ancestors(key, weights, policy=mo.Always()):  # noqa: B008
+    with engine.using("native"):
+        return jax.jit(lambda key, weights: blocks.ancestors(key, mo.Systematic(), policy, weights))(key, weights)
+
+
+@pytest.mark.parametrize("n", [256, 1000, 1024, 100_000])
+@pytest.mark.parametrize("kind", KINDS)
+def test_systematic_ancestors(kind, n):
+    """Counts are within one of n w, in order, never of a particle without weight, and those of exact sums."""
+    weights = log_weights(kind, n)
+    key = random.as_key(n)
+    chosen, after = (np.asarray(a) for a in ancestors(key, weights))
+    exact = np.exp(np.asarray(weights, np.float64))
+    exact /= exact.sum()
+    counts = np.bincount(chosen, minlength=n)
+    assert chosen.dtype == np.int32 and chosen.shape == (n,) and (np.diff(chosen) >= 0).all() and chosen.min() >= 0
+    assert np.abs(counts - n * exact).max() < 1 + 1e-5 * n * exact.max()
+    assert (counts[exact == 0] == 0).all() and np.allclose(after, -np.log(n))
+    u = float(random.uniform(key, (), jnp.float32))
+    wanted = np.searchsorted(np.cumsum(exact) * n, np.arange(n) + u, side="left")
+    assert (chosen != wanted).mean() < 2e-3
+    assert (chosen != np.asarray(mo.Systematic().ancestors(key, weights, n))).mean() < 2e-3
+
+
+@pytest.mark.parametrize("u_seed", range(5))
+def test_ancestors_are_unbiased(u_seed):
+    """Each particle's count, averaged over 400 draws, is n w within six standard errors of a uniform fraction."""
+    n = 300
+    weights = log_weights("mild", n)
+    keys = jax.random.split(jax.random.key(u_seed), 400)
+    with engine.using("native"):
+        drawn = jax.vmap(lambda key: blocks.ancestors(key, mo.Systematic(), mo.Always(), weights)[0])(keys)
+    counts = np.stack([np.bincount(row, minlength=n) for row in np.asarray(drawn)])
+    assert np.abs(counts.mean(axis=0) - n * np.exp(np.asarray(weights, np.float64))).max() < 6 * 0.5 / np.sqrt(400)
+
+
+@pytest.mark.parametrize("policy", [mo.Never(), mo.ESS(0.5), mo.ESS(0.05), mo.Entropy(0.1), mo.Entropy(3.0)])
+@pytest.mark.parametrize("kind", ["mild", "steep", "equal"])
+def test_policies(kind, policy):
+    weights = log_weights(kind, 5000)
+    chosen, after = ancestors(random.as_key(0), weights, policy)
+    if bool(policy.needed(weights)):
+        assert np.allclose(after, -np.log(5000)) and kind != "equal"
+    else:
+        assert np.array_equal(chosen, np.arange(5000)) and np.array_equal(after, weights)
+
+
+@pytest.mark.parametrize("n", [300, 5000, 300_000])
+def test_weighing(n):
+    generator = np.random.default_rng(n)
+    before = log_weights("mild", n)
+    cases = [
+        generator.normal(size=n) * 3, np.where(np.arange(n) % 3 == 0, np.nan, generator.normal(size=n) - 1e4), np.full(n, -np.inf),
+        np.where(np.arange(n) == 17, np.inf, 0.0), np.full(n, -3e9), np.full(n, np.nan), np.where(np.arange(n) < n - 1, -np.inf, -5.0),
+    ]  # fmt: skip
+    for ceiling in (jnp.inf, 3.0, np.abs(generator.normal(size=n)) * 10):
+        for values in cases:
+            given = (before, jnp.asarray(values, jnp.float32), jnp.asarray(ceiling, jnp.float32))
+            wanted, found = logspace.joint_weights(*given)
+            with engine.using("native"):
+                ours, numbers = logspace.joint_weights(*given)
+            assert np.allclose(numbers, found, rtol=1e-4, equal_nan=True), (numbers, found)
+            if np.isfinite(found[0]):
+                assert np.allclose(ours, wanted, atol=1e-4 + 1e-6 * abs(float(found[0])))
+
+
+@pytest.mark.parametrize("n", [300, 5000, 300_000])
+@pytest.mark.parametrize("sizes", [(1,), (6,), (2, 4), (0, 3), (15, 5)])
+def test_moments(n, sizes):
+    """Against sums in double precision, with a large common offset and weights that vanish."""
+    generator = np.random.default_rng(0)
+    parts = [(generator.normal(size=(size, n)) * 3 + 1000).astype(np.float32) for size in sizes]
+    weights = log_weights("gaps", n)
+    with engine.using("native"):
+        mean, cov = weighted_moments(weights, *map(jnp.asarray, parts))
+    points, exact = np.concatenate(parts).astype(np.float64), np.exp(np.asarray(weights, np.float64))
+    exact /= exact.sum()
+    center = points @ exact
+    off = points - center[:, None]
+    assert np.allclose(mean, center, atol=3e-4) and np.allclose(cov, (off * exact) @ off.T, atol=2e-3)
+    assert np.array_equal(cov, np.asarray(cov).T)
+
+
+def test_batches_of_runs():
+    """Kernels under vmap, also nested and with operands that the batch shares, give what single calls give."""
+    weights = jnp.stack([log_weights(kind, 2048) for kind in ("mild", "steep", "gaps")])
+    points = jnp.asarray(np.random.default_rng(0).normal(size=(2, 4, 2048)), jnp.float32)
+    with engine.using("native"):
+        nested = jax.vmap(lambda X: jax.vmap(lambda w: weighted_moments(w, X))(weights))(points)
+        for i in range(2):
+            for j in range(3):
+                single = weighted_moments(weights[j], points[i])
+                assert np.array_equal(nested[0][i, j], single[0]) and np.array_equal(nested[1][i, j], single[1])

@@ -1,0 +1,198 @@
+"""Filters on the native engine: the results of JAX, the same bits in every way of running, and a quiet way out where it cannot run."""
+
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from native_tools import needs_compiler
+
+import motes as mo
+
+T = 0.5
+A = np.eye(6) + T * np.eye(6, k=2) + T * T / 2 * np.eye(6, k=4)
+NAMES = ("px", "py", "vx", "vy", "ax", "ay")
+
+
+def bearing(x, u, t):
+    return jnp.array([jnp.hypot(x[0], x[1]), jnp.arctan2(x[1], x[0])])
+
+
+def turn(x, u, t):
+    angle = 0.1 * jnp.tanh(x[0] / 1000)
+    rotation = jnp.array([[jnp.cos(angle), -jnp.sin(angle)], [jnp.sin(angle), jnp.cos(angle)]])
+    return (jnp.asarray(A, x.dtype) @ x).at[2:4].set(rotation @ x[2:4])
+
+
+Q = np.diag([1, 1, 1, 1, 0.01, 0.01])
+CROSSED = Q + 0.05 * np.eye(6, k=2) + 0.05 * np.eye(6, k=-2)
+INITIAL = mo.Gaussian([300.0, 300, 5, -5, 0, 0], np.diag([400.0, 400, 16, 16, 0.04, 0.04]))
+SENSOR = mo.AdditiveGaussian(bearing, np.array([[100, 0.01], [0.01, 1e-4]]), angles=(1,))
+RADAR = mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q), SENSOR, NAMES)
+MODELS = {
+    "linear dynamics": RADAR,
+    "correlated noises": mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, CROSSED), SENSOR, NAMES),
+    "turning": mo.StateSpaceModel(INITIAL, mo.AdditiveGaussian(turn, CROSSED), SENSOR, NAMES),
+    "range-dependent noise": mo.StateSpaceModel(
+        INITIAL, mo.LinearGaussian(A, Q),
+        mo.AdditiveGaussian(bearing, lambda x, u, t: jnp.diag(jnp.array([100.0, 1e-4]) * (1 + x[0] ** 2 / 1e6)), angles=(1,)), NAMES),
+    "outliers": mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q),
+                                   mo.AdditiveNoise(bearing, mo.StudentT(4.0, np.array([10.0, 0.01])), angles=(1,)), NAMES),
+    "measured and hidden": mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q), mo.LinearGaussian(np.eye(2, 6) + np.eye(2, 6, k=2),
+                                                                                                  np.diag([9.0, 4.0])), NAMES),
+}  # fmt: skip
+YS = np.array(mo.simulate(3, RADAR, 12)[1])
+YS[4, 0] = np.nan
+YS[7] = np.nan
+FILTERS = {"bootstrap": mo.ParticleFilter, "marginalized": mo.MarginalizedParticleFilter}
+
+
+def runs(filter, model, ys=YS, **options):
+    one = mo.run(5, filter, model, ys, **options)
+    with mo.engine("native"):
+        return one, mo.run(5, filter, model, ys, **options)
+
+
+@needs_compiler
+@pytest.mark.parametrize("kind", FILTERS)
+@pytest.mark.parametrize("name", MODELS)
+def test_results_of_jax_without_resampling(kind, name):
+    """Nothing is chaotic without resampling: every number of the history agrees."""
+    filter = FILTERS[kind](n=1500, policy=mo.Never(), on_collapse="predict")
+    wanted, ours = runs(filter, MODELS[name])
+    assert wanted.engine == "jax" and ours.engine == "native"
+    spread = np.sqrt(np.diagonal(wanted.cov, axis1=1, axis2=2)) + 1e-3
+    assert np.abs((ours.mean - wanted.mean) / spread).max() < 2e-3
+    assert np.abs((ours.cov - wanted.cov) / spread[:, :, None] / spread[:, None]).max() < 5e-3
+    assert np.allclose(ours.log_evidence, wanted.log_evidence, atol=2e-3)
+    assert np.allclose(ours.ess, wanted.ess, rtol=5e-3)
+    for field in ("lowest", "highest"):
+        assert np.allclose(getattr(ours.info, field), getattr(wanted.info, field), rtol=1e-3, atol=2e-3)
+
+
+@needs_compiler
+@pytest.mark.parametrize("policy", [mo.Always(), mo.ESS(0.5), mo.Entropy(0.7)])
+@pytest.mark.parametrize("kind", FILTERS)
+def test_likelihood_of_jax_with_resampling(kind, policy):
+    """After resampling a rounding here and there gives another ancestor: results agree within Monte Carlo error, at first to rounding."""
+    filter = FILTERS[kind](n=20_000, policy=policy)
+    wanted, ours = runs(filter, RADAR)
+    assert np.abs(ours.log_evidence - wanted.log_evidence).max() < 0.1
+    assert np.allclose(ours.ess, wanted.ess, rtol=0.3) and np.allclose(ours.ess[:2], wanted.ess[:2], rtol=2e-3)
+    assert np.abs(ours.mean[0] - wanted.mean[0]).max() < 1e-3
+
+
+@needs_compiler
+@pytest.mark.parametrize("model", ["linear dynamics", "turning"])
+@pytest.mark.parametrize("kind", FILTERS)
+def test_same_bits_however_it_runs(kind, model):
+    filter, model = FILTERS[kind](n=7000), MODELS[model]
+    with mo.engine("native"):
+        whole = mo.run(5, filter, model, YS)
+        stream = mo.stream(5, filter, model)
+        stream.update(YS[0])
+        for y in YS[1:]:
+            stream.predict()
+            stream.update(y)
+        last = stream.mean, stream.cov
+        keys = jax.random.split(jax.random.key(9), 3)
+        many = jax.vmap(lambda key: mo.run(key, filter, model, YS).mean)(keys)
+        each = [mo.run(key, filter, model, YS).mean for key in keys]
+        scaled = jax.vmap(lambda ys: mo.run(5, filter, model, ys).mean)(np.stack([YS + 0.5, YS]))
+    assert np.array_equal(last[0], whole.mean[-1]) and np.array_equal(last[1], whole.cov[-1])
+    assert np.array_equal(many, each) and np.array_equal(scaled[1], whole.mean)
+    assert whole.engine == "native" and not np.array_equal(scaled[0], scaled[1])
+
+
+@needs_compiler
+@pytest.mark.parametrize("kind", FILTERS)
+def test_gradients_are_those_of_jax(kind):
+    filter = FILTERS[kind](n=600, policy=mo.Never())
+
+    def score(scale):
+        model = mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, scale * Q), SENSOR, NAMES)
+        return mo.run(5, filter, model, YS[:4]).log_likelihood
+
+    wanted = jax.value_and_grad(score)(1.3)
+    with mo.engine("native"):
+        ours = jax.value_and_grad(score)(1.3)
+    assert np.allclose(ours, wanted, rtol=2e-3) and abs(wanted[1]) > 0.01
+
+
+@needs_compiler
+def test_collapse_is_seen():
+    ys = YS.copy()
+    ys[3] = [1e7, 0.0]
+    for policy in ("predict", "inflate"):
+        wanted, ours = runs(mo.ParticleFilter(n=1000, on_collapse=policy), RADAR, ys)
+        assert np.array_equal(ours.info.collapsed, wanted.info.collapsed) and bool(ours.info.collapsed[3])
+        assert np.isfinite(ours.mean).all()
+    with mo.engine("native"), pytest.raises(mo.CollapseError, match="step 3"):
+        mo.run(5, mo.ParticleFilter(n=1000), RADAR, ys)
+
+
+@needs_compiler
+def test_likelihoods_that_are_no_numbers_get_no_weight():
+    sensor = mo.AdditiveGaussian(lambda x, u, t: jnp.where(x[:1] > 0, x[:1], jnp.nan), [[1.0]])
+    model = mo.StateSpaceModel(mo.Gaussian([0.5], [[1.0]]), mo.LinearGaussian([[0.9]], [[1.0]]), sensor)
+    wanted, ours = runs(mo.ParticleFilter(n=5000, policy=mo.Never()), model, np.ones((4, 1)))
+    assert np.array_equal(ours.info.invalid, wanted.info.invalid) and int(ours.info.invalid[0]) > 1000
+    assert np.allclose(ours.mean, wanted.mean, atol=1e-4)
+
+
+@needs_compiler
+def test_what_runs_is_explained():
+    text = str(mo.explain(mo.ParticleFilter(n=1000), RADAR))
+    assert "move" in text and "native, fused" in text and "engine in force   jax" in text
+    stages = dict(mo.explain(mo.ParticleFilter(n=1000, scheme=mo.Stratified()), RADAR).stages)
+    assert stages["move"] == "native kernels around JAX: Stratified resampling" and stages["weigh"].startswith("native, fused")
+    looping = mo.AdditiveGaussian(lambda x, u, t: jax.lax.while_loop(lambda z: z[0] < 0, lambda z: z + 1, x)[:1], [[1.0]])
+    stages = dict(mo.explain(mo.ParticleFilter(n=1000), mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q), looping)).stages)
+    assert "while" in stages["weigh"]
+    assert "fewer than" in str(mo.explain(mo.ParticleFilter(n=10), RADAR))
+    assert "no stage" in str(mo.explain(mo.KalmanFilter(), MODELS["measured and hidden"]))
+
+
+@needs_compiler
+def test_float64_is_left_to_jax(double):
+    model = mo.StateSpaceModel(mo.Gaussian(np.zeros(6), np.eye(6)), mo.LinearGaussian(A, Q), mo.AdditiveGaussian(bearing, np.eye(2)))
+    wanted, ours = runs(mo.ParticleFilter(n=500), model)
+    assert ours.engine == "jax" and np.array_equal(ours.mean, wanted.mean)
+    assert "float64" in str(mo.explain(mo.ParticleFilter(n=500), model))
+
+
+@needs_compiler
+def test_models_that_do_not_translate_run_all_the_same():
+    """A sampler with a key for each particle: JAX moves, native kernels resample and weigh; without resampling nothing differs."""
+    step = mo.Custom(sample=lambda key, x, u, t: A @ x + jax.random.normal(key, (6,)))
+    wanted, ours = runs(mo.ParticleFilter(n=2000, policy=mo.Never()), mo.StateSpaceModel(INITIAL, step, SENSOR, NAMES))
+    assert ours.engine == "native in part" and np.allclose(ours.mean, wanted.mean, rtol=1e-3, atol=1e-2)
+
+
+def test_unknown_engines_are_refused(monkeypatch):
+    with pytest.raises(mo.MotesError, match="engine: expected one of 'jax', 'native', got 'cuda'"), mo.engine("cuda"):
+        pass
+    monkeypatch.setenv("MOTES_ENGINE", "fast")
+    with pytest.raises(mo.MotesError, match="MOTES_ENGINE: expected one of 'jax', 'native', got 'fast'"):
+        mo.run(0, mo.ParticleFilter(n=300), RADAR, YS[:2])
+
+
+WITHOUT = """
+import motes as mo, numpy as np
+model = mo.StateSpaceModel(mo.Gaussian([0.0], [[1.0]]), mo.LinearGaussian([[0.9]], [[1.0]]), mo.LinearGaussian([[1.0]], [[1.0]]))
+filter = mo.ParticleFilter(n=1000)
+print(mo.run(0, filter, model, np.zeros((3, 1))).engine)
+print(mo.explain(filter, model))
+"""
+
+
+@pytest.mark.parametrize("compiler, reason", [("", "no C++ compiler"), ("false", "the C++ compiler refused")])
+def test_without_a_compiler_jax_does_the_work(compiler, reason, tmp_path):
+    path = "" if not compiler else os.path.dirname(subprocess.run(["which", "false"], capture_output=True, text=True).stdout)
+    surroundings = os.environ | {"PATH": path, "CXX": compiler, "MOTES_ENGINE": "native", "XDG_CACHE_HOME": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=120, env=surroundings)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("jax\n") and reason in done.stdout
