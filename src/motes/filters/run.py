@@ -16,7 +16,7 @@ from motes.filters import keep as keeping
 from motes.filters.history import Carry, History
 from motes.filters.interface import Filter, Info, as_state_space
 from motes.laws.conditional import Conditional
-from motes.models.canonical import canonical, canonical_conditional, one_of
+from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import Previous, StateSpaceModel, decorrelated, measurement_size, step_inputs
 
@@ -55,7 +55,10 @@ def run(
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
     ys = checked_measurements(filter, model, ys, inputs)
     first = None if after is None else after.last
-    known = canonical_parts(filter, model, jax.tree.map(one_of, inputs), one_of(ys))
+    u = jax.tree.map(one_of, inputs)
+    # functions that are equal for inputs of one shape need not be so for those that a run before had
+    alike = first is None or jax.tree.map(shape_of, first.u) == u
+    known = canonical_parts(filter, model, u, one_of(ys)) if alike else (filter, model)
     # outside of jit the knobs print as numbers
     history = replace(_run(key, *known, ys, inputs, keep, first), label=repr(filter))
     if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):

@@ -11,7 +11,7 @@ Functions are taken to be pure, as everywhere in JAX: one whose closed-over valu
 import hashlib
 from collections.abc import Callable
 from functools import cache
-from itertools import product
+from itertools import count
 from operator import attrgetter
 from types import FunctionType
 from typing import Any
@@ -76,6 +76,8 @@ class _IncomparableError(Exception):
 # weak tables: neither functions nor what they close over live longer than without them
 _found: WeakKeyDictionary[Any, dict[Any, _Identity | None]] = WeakKeyDictionary()
 _programs: WeakValueDictionary[Any, _Identity] = WeakValueDictionary()
+_numbers: WeakKeyDictionary[FunctionType, int] = WeakKeyDictionary()
+_count = count()
 
 
 def canonical(model: Any, u: Any, y: Any = None) -> Any:
@@ -86,7 +88,7 @@ def canonical(model: Any, u: Any, y: Any = None) -> Any:
         u: inputs of one step, or their shapes.
         y: one measurement `(y,)` or its shape, for densities of sensors; without it these are left alone.
     """
-    u, y = jax.tree.map(_described, (u, y))
+    u, y = jax.tree.map(shape_of, (u, y))
     t = jax.ShapeDtypeStruct((), jnp.int32)
     if isinstance(model, StateSpaceModel):
         x = jax.ShapeDtypeStruct((model.size,), model.dtype)
@@ -117,17 +119,18 @@ def canonical_conditional(part: Conditional, x: Any, u: Any, value: Any) -> Cond
     return _with(part, {name: _canonical(getattr(part, name), (x, u, t)) for name in _FUNCTIONS.get(type(part), ())})
 
 
-def one_of(leaf: Any) -> jax.ShapeDtypeStruct:
-    """Shape and type of one row of an array, as JAX sees it."""
-    whole = _described(leaf)
-    return jax.ShapeDtypeStruct(whole.shape[1:], whole.dtype, weak_type=whole.weak_type)
-
-
-def _described(leaf: Any) -> jax.ShapeDtypeStruct:
+def shape_of(leaf: Any) -> jax.ShapeDtypeStruct:
+    """Shape and type of an array or number, as JAX sees it."""
     if isinstance(leaf, jax.ShapeDtypeStruct):
         return leaf
     seen = jax.typeof(leaf)
     return jax.ShapeDtypeStruct(seen.shape, seen.dtype, weak_type=seen.weak_type)
+
+
+def one_of(leaf: Any) -> jax.ShapeDtypeStruct:
+    """Shape and type of one row of an array, as JAX sees it."""
+    whole = shape_of(leaf)
+    return jax.ShapeDtypeStruct(whole.shape[1:], whole.dtype, weak_type=whole.weak_type)
 
 
 @cache
@@ -192,20 +195,23 @@ def _program(jaxpr: Any, consts: Any) -> tuple[Any, ...]:
 
 def _parameters(eqn: Any) -> tuple[Any, ...]:
     params = dict(eqn.params)
-    rule = _derivative_rule(eqn, params.pop("jvp_jaxpr_fun")) if eqn.primitive.name == "custom_jvp_call" else ()
-    return rule, tuple((name, _value(params[name])) for name in sorted(params))
+    if eqn.primitive.name.startswith("custom_vjp"):
+        raise _IncomparableError  # its rules are functions of JAX's own making, new at each tracing
+    if eqn.primitive.name == "custom_jvp_call":
+        params["jvp_jaxpr_fun"] = _derivative_rule(params["jvp_jaxpr_fun"])
+    return tuple((name, _value(params[name])) for name in sorted(params))
 
 
-def _derivative_rule(eqn: Any, rule: Any) -> tuple[Any, ...]:
-    """Trace the user's own derivative rule, which the program holds as a function, for each pattern of zero tangents that it may meet."""
-    count = len(eqn.invars) - eqn.params["num_consts"]
-    patterns = [(False,) * count]
-    if eqn.params["symbolic_zeros"]:
-        if count > 4:
-            raise _IncomparableError
-        patterns = [zeros for zeros in product((False, True), repeat=count) if not all(zeros)]
-    traced = [rule.call_wrapped(*zeros) for zeros in patterns]
-    return tuple((_program(jaxpr, consts), tuple(zeros)) for jaxpr, consts, zeros in traced)
+def _derivative_rule(traced: Any) -> Any:
+    """Return the user's own derivative rule, which JAX keeps in closures; any failure to find it leaves the function alone."""
+
+    def held(function: Any, name: str) -> Any:
+        return function.__closure__[function.__code__.co_freevars.index(name)].cell_contents
+
+    rule = held(held(traced.f, "fn"), "jvp")
+    if len(rule.transforms) != 1:
+        raise _IncomparableError  # more than flattening of arguments: under vmap, or with arguments that are no arrays
+    return rule.f
 
 
 def _value(value: Any) -> Any:
@@ -221,10 +227,9 @@ def _value(value: Any) -> Any:
     if isinstance(value, dict):
         return dict, tuple((_value(name), _value(item)) for name, item in value.items())
     if isinstance(value, FunctionType):
-        if value.__closure__ is not None:
-            raise _IncomparableError
-        return value
-    if type(value).__module__.partition(".")[0] not in ("builtins", "jax", "jaxlib", "numpy", "ml_dtypes"):
+        return FunctionType, _numbers.setdefault(value, next(_count))
+    own = type(value).__module__.partition(".")[0] in ("builtins", "jax", "jaxlib", "numpy", "ml_dtypes")
+    if not own or (callable(value) and not isinstance(value, type)):
         raise _IncomparableError
     hash(value)
     return type(value), value
