@@ -195,8 +195,8 @@ def _program(jaxpr: Any, consts: Any) -> tuple[Any, ...]:
 
 def _parameters(eqn: Any) -> tuple[Any, ...]:
     params = dict(eqn.params)
-    if eqn.primitive.name.startswith("custom_vjp"):
-        raise _IncomparableError  # its rules are functions of JAX's own making, new at each tracing
+    if eqn.primitive.name.startswith("custom_vjp") or eqn.primitive.name.endswith("callback"):
+        raise _IncomparableError  # these hold functions of JAX's own making, new at each tracing
     if eqn.primitive.name == "custom_jvp_call":
         params["jvp_jaxpr_fun"] = _derivative_rule(params["jvp_jaxpr_fun"])
     return tuple((name, _value(params[name])) for name in sorted(params))
@@ -228,8 +228,7 @@ def _value(value: Any) -> Any:
         return dict, tuple((_value(name), _value(item)) for name, item in value.items())
     if isinstance(value, FunctionType):
         return FunctionType, _numbers.setdefault(value, next(_count))
-    own = type(value).__module__.partition(".")[0] in ("builtins", "jax", "jaxlib", "numpy", "ml_dtypes")
-    if not own or (callable(value) and not isinstance(value, type)):
+    if type(value).__module__.partition(".")[0] not in ("builtins", "jax", "jaxlib", "numpy", "ml_dtypes"):
         raise _IncomparableError
     hash(value)
     return type(value), value
