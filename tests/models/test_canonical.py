@@ -271,3 +271,15 @@ def test_a_known_function_is_not_traced_again():
     for _ in range(3):
         known(f)
     assert len(traced) == 1
+
+
+def test_large_arrays_are_compared_by_all_their_bytes():
+    array = np.arange(100, dtype=np.float32)
+    other = array.copy()
+    other[-1] += 1
+
+    def closing(a):
+        return known(lambda x, u, t: x + a.sum() + jnp.asarray(a)[t])
+
+    assert closing(array) == closing(array.copy())
+    assert closing(array) != closing(other)

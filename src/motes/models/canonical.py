@@ -240,6 +240,6 @@ def _array(value: Any) -> tuple[Any, ...]:
     if jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
         return "key", str(jax.random.key_impl(value)), _array(jax.random.key_data(value))
     raw = np.ascontiguousarray(value).reshape(-1).view(np.uint8)
-    numbers = raw.tobytes() if raw.size <= _SMALL else hashlib.sha256(raw).digest()
+    numbers = raw.tobytes() if raw.size <= _SMALL else hashlib.sha256(raw.data).digest()
     place = (value.sharding, value.committed, value.weak_type) if isinstance(value, jax.Array) else ()
     return type(value), value.dtype, value.shape, numbers, place
