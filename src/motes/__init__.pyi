@@ -33,8 +33,8 @@ from .laws.noise import Laplace as Laplace
 from .laws.noise import StudentT as StudentT
 from .laws.noise import Uniform as Uniform
 from .models.mixed_linear import MixedLinearModel as MixedLinearModel
+from .models.simulate import simulate as simulate
 from .models.state_space import StateSpaceModel as StateSpaceModel
-from .models.state_space import simulate as simulate
 from .models.structure import Structure as Structure
 from .models.structure import structure as structure
 from .native.choice import engine as engine

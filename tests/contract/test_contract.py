@@ -12,6 +12,7 @@ from discovery import example, examples, filter_classes
 import motes as mo
 from models import linear
 from motes.core import random, record
+from motes.filters import run as running
 from motes.filters.run import Engine
 
 FILTERS = examples()
@@ -203,6 +204,9 @@ def test_second_call_does_not_trace_again(filter):
     assert count > 0
     mo.run(2, filter, model, ys + 0.1)
     assert len(calls) == count
+    compiled = running._run._cache_size()
+    mo.run(2, type(filter)(**record.values(filter)), model, ys)
+    assert len(calls) == count and running._run._cache_size() == compiled
 
 
 @each_filter()

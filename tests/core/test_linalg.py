@@ -64,8 +64,70 @@ def test_semi_definite_matrices_keep_exact_zeros(dtype, double):
         assert np.allclose(A @ solved, A @ np.ones(3), rtol=1e-4)
 
 
+@jax.jit
+def worked_out(a, b, v, scale, root):
+    P = linalg.symmetric(linalg.product_transposed(root, root))
+    return {
+        "P": P,
+        "product": linalg.product_transposed(a, b),
+        "rank": linalg.rank_update(P, v, scale),
+        "sandwich": linalg.sandwich(linalg.transpose(b), P),
+        "factor": linalg.cholesky_update(linalg.cholesky(P), b),
+    }
+
+
+@pytest.mark.parametrize("size", range(1, 21))
+@pytest.mark.parametrize("deficient", [False, True])
+def test_updates_at_all_sizes(size, deficient, double):
+    """Precisions and operands with and without particles take turns; deficient: of rank two, and one state without variance."""
+    left, right, dtype = size % 2 == 0, size // 2 % 2 == 0, ("float32", "float64")[size // 4 % 2]
+
+    def drawn(*shape, many):
+        return RNG.normal(size=(*shape, 5) if many else shape).astype(dtype) / dtype_of(np.sqrt(size))
+
+    def particles_first(array, many):
+        return np.moveaxis(np.asarray(array, np.float64), -1, 0) if many else np.asarray(array, np.float64)
+
+    dtype_of = np.dtype(dtype).type
+    a, b, v = drawn(size, 3, many=left), drawn(size, 3, many=right), drawn(size, many=right)
+    root = drawn(size, size + 1, many=left)
+    scale = drawn(many=right) if right else dtype_of(-0.7)
+    if deficient:
+        b[size // 2], root[size // 2], root[:, 2:] = 0, 0, 0
+    found = worked_out(a, b, v, scale, root)
+    assert all(value.dtype == dtype for value in found.values())
+    either = left or right
+    P, A, B, w = particles_first(found["P"], left), particles_first(a, left), particles_first(b, right), particles_first(v, right)
+    Bt, s = B.swapaxes(-1, -2), np.asarray(scale, np.float64).reshape(-1, 1, 1) if right else float(scale)
+    wanted = {"product": A @ Bt, "rank": P + s * w[..., None] * w[..., None, :], "sandwich": Bt @ P @ B}
+    tolerance = 100 * size * float(np.finfo(dtype).eps)
+    for name, value in wanted.items():
+        np.testing.assert_allclose(particles_first(found[name], either), value, rtol=0, atol=tolerance, err_msg=name)
+    for name in ("rank", "sandwich"):
+        assert np.array_equal(found[name], np.swapaxes(found[name], 0, 1))
+    factor = particles_first(found["factor"], either)
+    assert np.array_equal(factor, np.tril(factor)) and (np.diagonal(factor, axis1=-2, axis2=-1) >= 0).all()
+    assert not deficient or (factor[..., size // 2, :] == 0).all()
+    # where the rank is deficient, the factor of P itself may carry directions of the size of rounding's root
+    slack = 4 * size * float(np.finfo(dtype).eps) ** 0.5 if deficient else tolerance
+    np.testing.assert_allclose(factor @ factor.swapaxes(-1, -2), P + B @ Bt, rtol=0, atol=slack)
+
+
+@pytest.mark.parametrize("size", [1, 3, 8])
+def test_updated_factor_is_that_of_the_sum(size, double):
+    L = np.linalg.cholesky(np.cov(RNG.normal(size=(size, 40))).reshape(size, size))
+    V = RNG.normal(size=(size, 2))
+    found = jax.jit(linalg.cholesky_update)(jnp.asarray(L), jnp.asarray(V))
+    np.testing.assert_allclose(found, np.linalg.cholesky(L @ L.T + V @ V.T), rtol=1e-12, atol=1e-14)
+    from_nothing = linalg.cholesky_update(jnp.zeros((size, size)), jnp.asarray(L))
+    np.testing.assert_allclose(from_nothing, L, rtol=1e-12, atol=1e-14)
+
+
 def test_nothing_is_a_size_too():
     nothing = jnp.zeros((0, 0, 4))
     assert linalg.cholesky(nothing).shape == (0, 0, 4)
+    assert linalg.cholesky_update(nothing, jnp.zeros((0, 2, 4))).shape == (0, 0, 4)
+    assert np.array_equal(linalg.cholesky_update(jnp.eye(2), jnp.zeros((2, 0))), np.eye(2))
+    assert linalg.product_transposed(jnp.zeros((2, 0, 4)), jnp.zeros((3, 0, 4))).shape == (2, 3, 4)
     assert linalg.product(jnp.zeros((2, 0, 4)), jnp.zeros((0, 3, 4))).shape == (2, 3, 4)
     assert linalg.times_vector(jnp.zeros((2, 0)), jnp.zeros((0, 4))).shape == (2, 4)

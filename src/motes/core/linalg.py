@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import Precision
 
 _EXACT = Precision.HIGHEST
@@ -30,6 +31,15 @@ def product(a: jax.Array, b: jax.Array) -> jax.Array:
     a, b = _align(a, b, 2)
     start = jnp.zeros((a.shape[0], *b.shape[1:]), a.dtype)
     return _total([a[:, j, None] * b[j, None] for j in range(a.shape[1])], start)
+
+
+def product_transposed(a: jax.Array, b: jax.Array) -> jax.Array:
+    """A B': `(i, j, *n)` and `(k, j, *n)` give `(i, k, *n)`."""
+    if a.ndim == 2:
+        return jnp.tensordot(a, b, (1, 1), precision=_EXACT)
+    a, b = _align(a, b, 2)
+    start = jnp.zeros((a.shape[0], b.shape[0], *b.shape[2:]), a.dtype)
+    return _total([a[:, j, None] * b[None, :, j] for j in range(a.shape[1])], start)
 
 
 def times_vector(a: jax.Array, v: jax.Array) -> jax.Array:
@@ -71,7 +81,16 @@ def symmetric(a: jax.Array) -> jax.Array:
 
 def sandwich(a: jax.Array, p: jax.Array) -> jax.Array:
     """A P A', symmetric to the last bit for symmetric P."""
-    return symmetric(product(product(a, p), transpose(a)))
+    moved = product_transposed(product(a, p), a)
+    # one triangle twice, not the mean of both: compilers contract the sums in a mean differently for an entry and its mirror image
+    lower = np.tri(moved.shape[0], dtype=bool)
+    return jnp.where(lower if moved.ndim == 2 else lower[..., None], moved, transpose(moved))
+
+
+def rank_update(p: jax.Array, v: jax.Array, scale: jax.Array | float = 1.0) -> jax.Array:
+    """P + s v v' for v `(i, *n)` and s `()` or `(n,)`, negative to take away; symmetric to the last bit for symmetric P."""
+    # v_i v_j and v_j v_i round alike, so that neither triangle needs to be mirrored: that takes compilers longer than it saves
+    return add(p, v[:, None] * v[None, :] * scale)
 
 
 def identity_like(a: jax.Array) -> jax.Array:
@@ -108,7 +127,35 @@ def cholesky(a: jax.Array) -> jax.Array:
         alive = column[0] > tolerance * a[j, j]
         scale = jnp.where(alive, jax.lax.rsqrt(jnp.where(alive, column[0], 1)), 0)
         columns.append(column * scale)
-    padded = [jnp.concatenate([jnp.zeros((j, *c.shape[1:]), a.dtype), c]) if j else c for j, c in enumerate(columns)]
+    return _lower(columns)
+
+
+def cholesky_update(lower: jax.Array, v: jax.Array) -> jax.Array:
+    """Lower factor of L L' + V V' for V `(i, m, *n)`, from L with a diagonal that is not negative; neither product is formed.
+
+    One reflection per pivot turns row j of V into the pivot of column j; where both are zero up to rounding nothing is turned.
+    """
+    if lower.shape[0] == 0 or v.shape[1] == 0:
+        return lower
+    lower, v = _align(lower, v, 2)
+    columns: list[jax.Array] = []
+    tolerance = 4 * lower.shape[0] * float(jnp.finfo(lower.dtype).eps)
+    least = tolerance * jnp.sqrt(jnp.sum(lower**2, axis=1) + jnp.sum(v**2, axis=1))
+    for j in range(lower.shape[0]):
+        column, row = lower[j:, j], v[0]
+        pivot = jnp.sqrt(column[0] ** 2 + jnp.sum(row**2, axis=0))
+        alive = pivot > least[j]
+        inverse = 1 / jnp.where(alive, pivot, 1)
+        turned = jnp.where(alive, (column * column[0] + jnp.sum(v * row, axis=1)) * inverse, column)
+        reflected = jnp.where(alive, (column + turned) / jnp.where(alive, pivot + column[0], 1), 0)
+        v = (v - reflected[:, None] * row)[1:]
+        columns.append(turned)
+    return _lower(columns)
+
+
+def _lower(columns: list[jax.Array]) -> jax.Array:
+    """Put columns that start at the diagonal together as a lower triangle."""
+    padded = [jnp.concatenate([jnp.zeros((j, *c.shape[1:]), c.dtype), c]) if j else c for j, c in enumerate(columns)]
     return jnp.stack(padded, axis=1)
 
 

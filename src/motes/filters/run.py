@@ -10,11 +10,13 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.logspace import RunningSum
-from motes.core.record import replace
+from motes.core.record import replace, values
 from motes.core.types import Inputs, KeyLike
 from motes.filters import keep as keeping
 from motes.filters.history import Carry, History
 from motes.filters.interface import Filter, Info, as_state_space
+from motes.laws.conditional import Conditional
+from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import Previous, StateSpaceModel, decorrelated, measurement_size, step_inputs
 from motes.native import report
@@ -54,8 +56,12 @@ def run(
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
     ys = checked_measurements(filter, model, ys, inputs)
     first = None if after is None else after.last
+    u = jax.tree.map(one_of, inputs)
+    # functions that are equal for inputs of one shape need not be so for those that a run before had
+    alike = first is None or jax.tree.map(shape_of, first.u) == u
+    known = canonical_parts(filter, model, u, one_of(ys)) if alike else (filter, model)
     # outside of jit the knobs print as numbers
-    history = replace(_run(key, filter, model, ys, inputs, keep, first), label=repr(filter))
+    history = replace(_run(key, *known, ys, inputs, keep, first), label=repr(filter))
     if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
     return history
@@ -97,6 +103,15 @@ def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first:
         start = first.step + 1
         carry, (kept, infos) = jax.lax.scan(advance, first, (ys, inputs))
     return History(kept, infos, carry, start, engine.given.names, "", engine.filter.has_evidence)
+
+
+def canonical_parts(filter: Filter, model: Any, u: Inputs, y: Any) -> tuple[Filter, Any]:
+    """Return filter and model such that code compiled for equal ones is used again; u and y are one step's, or their shapes."""
+    model = canonical(model, u, y)
+    x = jax.ShapeDtypeStruct((model.size,), model.dtype)
+    # a conditional among the knobs is a proposal: its functions see the pair of inputs and measurement
+    proposals = {name: canonical_conditional(knob, x, (u, y), x) for name, knob in values(filter).items() if isinstance(knob, Conditional)}
+    return replace(filter, **proposals) if proposals else filter, model
 
 
 class Engine:

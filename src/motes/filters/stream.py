@@ -12,28 +12,34 @@ from motes.core import checks, random
 from motes.core.types import Inputs, KeyLike
 from motes.filters.history import Carry, History
 from motes.filters.interface import Filter, Info
-from motes.filters.run import Engine, checked_measurements
+from motes.filters.run import Engine, canonical_parts, checked_measurements
 from motes.io import archive
+from motes.models.canonical import shape_of
 
 
-@jax.jit
-def _begin(key: jax.Array, filter: Filter, model: Any, u: Inputs, y: jax.Array) -> Carry:
-    return Engine(key, filter, model).initial(u, y)
+def _engine(form: Any, parts: list[Any]) -> Engine:
+    # key, filter and model come as arrays and form: to take them apart anew at each step would cost more than many a filter does
+    return Engine(*jax.tree.unflatten(form, parts))
 
 
-@jax.jit
-def _move(key: jax.Array, filter: Filter, model: Any, carry: Carry, u: Inputs) -> Carry:
-    return Engine(key, filter, model).move(carry, u)
+@partial(jax.jit, static_argnums=0)
+def _begin(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Carry:
+    return _engine(form, parts).initial(u, y)
 
 
-@jax.jit
-def _take_in(key: jax.Array, filter: Filter, model: Any, carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
-    return Engine(key, filter, model).take_in(carry, y)
+@partial(jax.jit, static_argnums=0)
+def _move(form: Any, parts: list[Any], carry: Carry, u: Inputs) -> Carry:
+    return _engine(form, parts).move(carry, u)
 
 
-@jax.jit
-def _step(key: jax.Array, filter: Filter, model: Any, carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
-    return Engine(key, filter, model).step(carry, y, u)
+@partial(jax.jit, static_argnums=0)
+def _take_in(form: Any, parts: list[Any], carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
+    return _engine(form, parts).take_in(carry, y)
+
+
+@partial(jax.jit, static_argnums=0)
+def _step(form: Any, parts: list[Any], carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
+    return _engine(form, parts).step(carry, y, u)
 
 
 @partial(jax.jit, static_argnames=("what",))
@@ -59,6 +65,9 @@ class Stream:
         """
         self.key, self.filter, self.model = random.as_key(key), filter, model
         self._inputs = inputs
+        self._parts: list[Any] = []
+        self._form: Any = None
+        self._input_shapes: Any = None
         self._carry: Carry | None = None
         self._pending: list[Inputs] = []
         self._updated = False
@@ -76,9 +85,9 @@ class Stream:
         y = self._checked(y)
         carry = self._opened(y)
         if self._pending:
-            carry, info = _step(self.key, self.filter, self.model, carry, y, self._pending[-1])
+            carry, info = _step(self._form, self._parts, carry, y, self._pending[-1])
         else:
-            carry, info = _take_in(self.key, self.filter, self.model, carry, y)
+            carry, info = _take_in(self._form, self._parts, carry, y)
         if self.filter.on_collapse == "raise" and bool(info.collapsed):
             at_step = jax.tree.map(lambda leaf: leaf[None], info)
             History({}, at_step, carry, carry.step, self.model.names, repr(self.filter)).raise_on_collapse()
@@ -88,34 +97,48 @@ class Stream:
     def predict(self, u: Inputs = None) -> None:
         """Go to the next step, with its inputs u."""
         self._settle_pending()
+        carry = self._opened(None)
+        self._fit(u, carry.y)
         if self.filter.look_ahead:
             self._pending = [u]
         else:
-            self._carry = _move(self.key, self.filter, self.model, self._opened(None), u)
+            self._carry = _move(self._form, self._parts, carry, u)
         self._updated = False
 
     def _settle_pending(self) -> None:
         """A look-ahead step whose measurement never came is a step without measurement."""
         if self._pending:
             carry = self._opened(None)
-            self._carry, self.info = _step(self.key, self.filter, self.model, carry, jnp.full_like(carry.y, jnp.nan), self._pending[-1])
+            nothing = jnp.full_like(carry.y, jnp.nan)
+            self._carry, self.info = _step(self._form, self._parts, carry, nothing, self._pending[-1])
             self._pending = []
 
-    def _checked(self, y: Any) -> jax.Array:
-        y = jnp.atleast_1d(jnp.asarray(y, self.model.dtype))
+    def _fit(self, u: Inputs, y: Any) -> None:
+        """Find the form under which compiled code is shared with equal filters and models; it holds for inputs of one shape."""
+        shapes = None if u is None else jax.tree.map(shape_of, u)
+        if self._form is None:
+            self._input_shapes = shapes
+            self._parts = [jnp.asarray(leaf) for leaf in jax.tree.leaves((self.key, self.filter, self.model))]
+            self._form = jax.tree.structure((self.key, *canonical_parts(self.filter, self.model, u, y)))
+        elif shapes != self._input_shapes:
+            self._form = jax.tree.structure((self.key, self.filter, self.model))
+
+    def _checked(self, y: Any) -> Any:
         if self._carry is None:
             inputs = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], self._inputs)
-            return checked_measurements(self.filter, self.model, y[None], inputs)[0]
+            return checked_measurements(self.filter, self.model, np.atleast_1d(np.asarray(y))[None], inputs)[0]
+        y = np.atleast_1d(np.asarray(y, self._carry.y.dtype))
         checks.shape("y", y, self._carry.y.shape, "(as the first one)")
-        if np.isinf(np.asarray(y)).any():
-            checks.refuse("y", "finite numbers, or NaN for what was not measured", np.asarray(y).tolist())
+        if np.isinf(y).any():
+            checks.refuse("y", "finite numbers, or NaN for what was not measured", y.tolist())
         return y
 
     def _opened(self, y: jax.Array | None) -> Carry:
         if self._carry is None:
             if y is None:
                 checks.refuse("predict", "a measurement of step 0 first", "none", "Call update(y) with NaN if nothing was measured.")
-            self._carry = _begin(self.key, self.filter, self.model, self._inputs, y)
+            self._fit(self._inputs, y)
+            self._carry = _begin(self._form, self._parts, self._inputs, y)
         assert self._carry is not None
         return self._carry
 
@@ -186,6 +209,7 @@ class Stream:
         u = tree["carry"].get("u") if inputs is None else inputs
         like = jax.eval_shape(lambda *parts: Engine(*parts[:3]).initial(*parts[3:]), stream.key, filter, model, u, y)
         stream._carry = archive.fill(Path(path), like, tree["carry"])
+        stream._fit(u, y)
         stream._updated = bool(texts["updated"])
         return stream
 

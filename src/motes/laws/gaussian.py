@@ -106,7 +106,7 @@ class Gaussian(Law):
             innovation, H, R = _zeroed(innovation, seen), _zeroed(H, seen), _among(R, seen)
         P = self.covariance
         cross = linalg.product(H, P)
-        factor = linalg.cholesky(linalg.symmetric(linalg.add(linalg.product(cross, linalg.transpose(H)), R)))
+        factor = linalg.cholesky(linalg.symmetric(linalg.add(linalg.product_transposed(cross, H), R)))
         # the barriers keep compilers from working factor and gain out again for every entry that uses them
         factor = jax.lax.optimization_barrier(factor)
         log_evidence, peak = _log_density(innovation, factor, seen)

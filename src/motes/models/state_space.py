@@ -5,15 +5,14 @@
 The first measurement y_0 is of x_0, before any dynamics.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, linalg, random
+from motes.core import checks, linalg
 from motes.core.record import record, replace, static
-from motes.core.types import Inputs, KeyLike, MatrixLike
+from motes.core.types import Inputs, MatrixLike
 from motes.laws.conditional import AdditiveGaussian, Conditional, check_matrix, matrix
 from motes.laws.law import Law, as_law, drawn
 
@@ -183,51 +182,3 @@ def measurement_size(model: StateSpaceModel, inputs_of_step: Inputs) -> int | No
 def step_inputs(inputs: Inputs, step: jax.Array | int) -> Inputs:
     """Return the inputs of one step from a tree with the time axis first."""
     return jax.tree.map(lambda leaf: leaf[step], inputs)
-
-
-def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:
-    """Draw a trajectory and its measurements.
-
-    Args:
-        key: JAX key or integer seed.
-        model: state-space or mixed linear model.
-        steps: number of steps t.
-        inputs: tree with the time axis first, or None.
-
-    Returns:
-        States `(t, x)` and measurements `(t, y)`.
-
-    Raises:
-        MotesError: steps is not a positive whole number, or the model does not fit together.
-    """
-    checks.positive_integer("simulate steps", steps)
-    key = random.as_key(key)
-    plain = model if isinstance(model, StateSpaceModel) else model.joined()
-    plain.check(step_inputs(inputs, 0))
-    return _simulate(key, plain, steps, inputs)
-
-
-@partial(jax.jit, static_argnames=("steps",))
-def _simulate(key: jax.Array, model: StateSpaceModel, steps: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
-    # a filter that is given the same key must not draw the truth as its first particle
-    key = random.child(key, random.NOISE)
-    separate = decorrelated(model)
-    correlated = model.noise_cross_cov is not None
-
-    def measure(x: jax.Array, t: Any, u: Inputs) -> jax.Array:
-        keyed = random.child(random.step_key(key, t), random.MEASURE)
-        return model.sensor.sample(keyed, x[:, None], u, t)[:, 0]
-
-    def advance(carry: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple[Any, Any]:
-        x, y = carry
-        u = step_inputs(inputs, t)
-        driven = Previous(u, step_inputs(inputs, t - 1), y) if correlated else u
-        keyed = random.child(random.step_key(key, t), random.PREDICT)
-        x = separate.dynamics.sample(keyed, x[:, None], driven, t)[:, 0]
-        y = measure(x, t, u)
-        return (x, y), (x, y)
-
-    x = model.initial.sample(random.child(random.step_key(key, 0), random.INITIAL), 1)[:, 0]
-    y = measure(x, jnp.int32(0), step_inputs(inputs, 0))
-    _, (xs, ys) = jax.lax.scan(advance, (x, y), jnp.arange(1, steps, dtype=jnp.int32))
-    return jnp.concatenate([x[None], xs]), jnp.concatenate([y[None], ys])

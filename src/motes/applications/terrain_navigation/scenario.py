@@ -16,7 +16,8 @@ from motes.core.types import KeyLike
 from motes.filters.history import History
 from motes.io.rasters import jacksboro, mosaic, read_raster
 from motes.io.tables import read_table, times
-from motes.models.state_space import StateSpaceModel, simulate
+from motes.models.simulate import simulate
+from motes.models.state_space import StateSpaceModel
 from motes.models.terrain import TerrainMap, terrain_map
 
 LOST = 150.0

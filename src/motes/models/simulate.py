@@ -1,0 +1,66 @@
+"""Drawing trajectories and measurements from a model."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, random
+from motes.core.record import replace
+from motes.core.types import Inputs, KeyLike
+from motes.laws.conditional import Custom
+from motes.models.canonical import canonical, one_of
+from motes.models.state_space import Previous, StateSpaceModel, decorrelated, step_inputs
+
+
+def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:
+    """Draw a trajectory and its measurements.
+
+    Args:
+        key: JAX key or integer seed.
+        model: state-space or mixed linear model.
+        steps: number of steps t.
+        inputs: tree with the time axis first, or None.
+
+    Returns:
+        States `(t, x)` and measurements `(t, y)`.
+
+    Raises:
+        MotesError: steps is not a positive whole number, or the model does not fit together.
+    """
+    checks.positive_integer("simulate steps", steps)
+    key = random.as_key(key)
+    model = canonical(model, jax.tree.map(one_of, inputs))
+    if isinstance(model, StateSpaceModel) and isinstance(model.sensor, Custom):
+        # a density that is not needed here must not decide what is compiled
+        model = replace(model, sensor=replace(model.sensor, density=None))
+    return _simulate(key, model, steps, inputs)
+
+
+@partial(jax.jit, static_argnames=("steps",))
+def _simulate(key: jax.Array, given: Any, steps: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
+    model = given if isinstance(given, StateSpaceModel) else given.joined()
+    model.check(step_inputs(inputs, 0))
+    # a filter that is given the same key must not draw the truth as its first particle
+    key = random.child(key, random.NOISE)
+    separate = decorrelated(model)
+    correlated = model.noise_cross_cov is not None
+
+    def measure(x: jax.Array, t: Any, u: Inputs) -> jax.Array:
+        keyed = random.child(random.step_key(key, t), random.MEASURE)
+        return model.sensor.sample(keyed, x[:, None], u, t)[:, 0]
+
+    def advance(carry: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple[Any, Any]:
+        x, y = carry
+        u = step_inputs(inputs, t)
+        driven = Previous(u, step_inputs(inputs, t - 1), y) if correlated else u
+        keyed = random.child(random.step_key(key, t), random.PREDICT)
+        x = separate.dynamics.sample(keyed, x[:, None], driven, t)[:, 0]
+        y = measure(x, t, u)
+        return (x, y), (x, y)
+
+    x = model.initial.sample(random.child(random.step_key(key, 0), random.INITIAL), 1)[:, 0]
+    y = measure(x, jnp.int32(0), step_inputs(inputs, 0))
+    _, (xs, ys) = jax.lax.scan(advance, (x, y), jnp.arange(1, steps, dtype=jnp.int32))
+    return jnp.concatenate([x[None], xs]), jnp.concatenate([y[None], ys])

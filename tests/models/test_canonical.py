@@ -1,0 +1,285 @@
+"""Models built anew from equal functions compare equal; functions that differ in anything do not."""
+
+import gc
+import weakref
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import motes as mo
+from motes.filters import run as running
+from motes.filters import stream as streaming
+from motes.models import simulate as simulating
+from motes.models.canonical import Program, canonical
+
+X = jax.ShapeDtypeStruct((2,), jnp.float32)
+
+
+def model(f, sensor=lambda x, u, t: jnp.sin(x), **changes):
+    law = mo.Gaussian(jnp.array([1.0, -0.5]), jnp.eye(2))
+    return mo.StateSpaceModel(law, mo.AdditiveGaussian(f, 0.1 * jnp.eye(2)), mo.AdditiveGaussian(sensor, 0.2 * jnp.eye(2)), **changes)
+
+
+def known(f, u=None):
+    return canonical(model(f), u).dynamics.f
+
+
+def cubic(scale=0.1, offsets=(0.0, 1.0)):
+    """A model from fresh functions; offsets are closed over as an array, the helper is a nested function."""
+    array = np.array(offsets, np.float32)
+
+    @jax.jit
+    def helper(x):
+        return jnp.tanh(scale * x**3)
+
+    return model(lambda x, u, t: x + helper(x) + array, lambda x, u, t: jnp.logaddexp(x, 0.5 * scale))
+
+
+def mixed(scale=0.9):
+    return mo.MixedLinearModel(
+        mo.Gaussian([0.0], [[1.0]]),
+        mo.Gaussian([0.0], [[1.0]]),
+        particle=lambda x_p, u, t: (jnp.sin(x_p), scale * jnp.eye(1), jnp.eye(1)),
+        kalman=lambda x_p, u, t: (0 * x_p, scale * jnp.eye(1), jnp.eye(1)),
+        sensor=lambda x_p, u, t: (x_p, jnp.eye(1), scale * jnp.eye(1)),
+        cross_cov=lambda x_p, u, t: 0.1 * jnp.eye(1),
+    )
+
+
+def custom(scale=1.0):
+    """Custom parts, correlated noises apart: samplers draw with the key that they are given."""
+    law = mo.Gaussian(jnp.zeros(1), jnp.eye(1))
+    return mo.StateSpaceModel(
+        law,
+        mo.Custom(sample=lambda key, x, u, t: 0.5 * x + jax.random.normal(key, (1,))),
+        mo.Custom(sample=lambda key, x, u, t: x + scale * jax.random.laplace(key, (1,)), log_prob=lambda y, x, u, t: -jnp.sum(abs(y - x))),
+    )
+
+
+def correlated(size=0.05):
+    return model(lambda x, u, t: 0.9 * x, noise_cross_cov=lambda x, u, t: size * jnp.eye(2))
+
+
+def proposed():
+    return mo.ParticleFilter(n=20, proposal=mo.AdditiveGaussian(lambda x, uy, t: 0.8 * x + 0.1 * uy[1], jnp.eye(2)))
+
+
+CASES = {
+    "nested functions and arrays": (cubic, lambda: mo.ParticleFilter(n=20)),
+    "mixed linear": (mixed, lambda: mo.MarginalizedParticleFilter(n=20)),
+    "mixed linear, joined": (mixed, lambda: mo.ParticleFilter(n=20)),
+    "custom": (custom, lambda: mo.ParticleFilter(n=20)),
+    "correlated noises": (correlated, mo.ExtendedKalmanFilter),
+    "proposal": (cubic, proposed),
+}
+
+
+@pytest.mark.parametrize(("build", "make"), CASES.values(), ids=CASES.keys())
+def test_rebuilt_models_compile_nothing_anew(build, make):
+    programs = (running._run, simulating._simulate, streaming._begin, streaming._move, streaming._take_in, streaming._step)
+
+    def everything():
+        ys = np.array(mo.simulate(1, build(), 6)[1])
+        history = mo.run(2, make(), build(), ys)
+        *_, last = mo.run_in_chunks(2, make(), build(), ys, chunk=6)
+        stream = mo.stream(2, make(), build())
+        stream.update(ys[0])
+        stream.predict()
+        stream.update(ys[1])
+        return ys, history.mean, last.mean, stream.mean
+
+    first = everything()
+    compiled = [program._cache_size() for program in programs]
+    second = everything()
+    assert [program._cache_size() for program in programs] == compiled
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_models_that_differ_do_not_share():
+    ys = np.zeros((4, 2))
+    filter = mo.ExtendedKalmanFilter()
+    results = [np.array(mo.run(0, filter, m, ys).mean) for m in (cubic(), cubic(scale=0.2), cubic(offsets=(0.0, 1.5)))]
+    assert not np.array_equal(results[0], results[1]) and not np.array_equal(results[0], results[2])
+    drawn = [np.array(mo.simulate(0, m, 4)[1]) for m in (mixed(), mixed(0.8), mixed())]
+    assert not np.array_equal(drawn[0], drawn[1]) and np.array_equal(drawn[0], drawn[2])
+
+
+BASE, LARGER, WHOLE = np.array([1.0, 2.0], np.float32), np.array([1.0, 3.0], np.float32), np.array([1, 2], np.int32)
+
+
+@jax.custom_jvp
+def _steep(x):
+    return 2 * x
+
+
+_steep.defjvp(lambda primals, tangents: (_steep(primals[0]), 7 * tangents[0]))
+
+
+@jax.custom_jvp
+def _flat(x):
+    return 2 * x
+
+
+_flat.defjvp(lambda primals, tangents: (_flat(primals[0]), 0 * tangents[0]))
+
+PAIRS = {
+    "constant": (lambda x, u, t: 2.0 * x, lambda x, u, t: 2.0000002 * x),
+    "sign of zero": (lambda x, u, t: 1 / (0.0 * x), lambda x, u, t: 1 / (-0.0 * x)),
+    "closed-over numbers": (lambda x, u, t, a=BASE: a + x, lambda x, u, t, a=LARGER: a + x),
+    "type of numbers": (lambda x, u, t, a=BASE: a + x, lambda x, u, t, a=WHOLE: a + x),
+    "order of operands": (lambda x, u, t: x - 3, lambda x, u, t: 3 - x),
+    "which component": (lambda x, u, t: x.at[0].set(x[1]), lambda x, u, t: x.at[1].set(x[0])),
+    "time": (lambda x, u, t: x + t, lambda x, u, t: x + 0 * t),
+    "nested function": (lambda x, u, t: jax.jit(jnp.sin)(x), lambda x, u, t: jax.jit(jnp.cos)(x)),
+    "branch": (lambda x, u, t: jax.lax.cond(t > 1, jnp.sin, jnp.cos, x), lambda x, u, t: jax.lax.cond(t > 1, jnp.cos, jnp.sin, x)),
+    "loop": (
+        lambda x, u, t: jax.lax.fori_loop(0, 3, lambda i, v: v * 2, x),
+        lambda x, u, t: jax.lax.fori_loop(0, 4, lambda i, v: v * 2, x),
+    ),
+    "derivative rule": (lambda x, u, t: _steep(x), lambda x, u, t: _flat(x)),
+    "kind of result": (lambda x, u, t: x, lambda x, u, t: [x[0], x[1]]),
+}
+
+
+@pytest.mark.parametrize(("one", "other"), PAIRS.values(), ids=PAIRS.keys())
+def test_functions_that_differ_are_told_apart(one, other):
+    def again(f):
+        # the same code and closed-over values under a new identity, as a rebuilt model has
+        return type(f)(f.__code__, f.__globals__, f.__name__, f.__defaults__, f.__closure__)
+
+    assert isinstance(known(one), Program)
+    assert known(one) == known(again(one)) and hash(known(one)) == hash(known(again(one)))
+    assert known(other) == known(again(other))
+    assert known(one) != known(other)
+
+
+def test_arguments_of_other_shapes_are_other_programs():
+    def f(x, u, t):
+        return x if u is None else x + jnp.sum(u)
+
+    def g(x, u, t):
+        return x if u is None else x - jnp.sum(u)
+
+    assert known(f) == known(g)
+    assert known(f, jnp.ones(3)) != known(g, jnp.ones(3))
+    assert known(f) != known(f, jnp.ones(3)) != known(f, jnp.ones(2))
+    with jax.enable_x64(True):
+        wide = known(f)
+    assert wide != known(f)
+
+
+def test_inputs_of_another_shape_than_at_step_0_are_seen():
+    """A stream that is given inputs only later must not run what another function does without inputs."""
+
+    def moved(sign):
+        return model(lambda x, u, t: x if u is None else x + sign * u)
+
+    means = []
+    for sign in (1.0, -1.0):
+        stream = mo.stream(0, mo.ExtendedKalmanFilter(), moved(sign))
+        stream.update([0.0, 0.0])
+        stream.predict(np.float32(2.0))
+        means.append(np.array(stream.mean))
+    assert np.allclose(means[0] - means[1], 4.0, atol=1e-5)
+
+
+def test_what_cannot_be_compared_is_left_alone():
+    calls = []
+
+    def calls_back(x, u, t):
+        return jax.pure_callback(lambda v: v, X, x)
+
+    def prints(x, u, t):
+        jax.debug.callback(calls.append, x)
+        return x
+
+    def fails(x, u, t):
+        raise RuntimeError("not today")
+
+    class Unhashable:
+        __hash__ = None
+
+        def __call__(self, x, u, t):
+            return x
+
+    for f in (calls_back, prints, fails, Unhashable()):
+        assert known(f) is f
+    with pytest.raises(RuntimeError, match="not today"):
+        mo.run(0, mo.ExtendedKalmanFilter(), model(fails), np.zeros((2, 2)))
+
+    def closes_over_a_tracer(scale):
+        f = lambda x, u, t: scale * x  # noqa: E731
+        nested = lambda x, u, t: jax.jit(lambda v: scale * v)(x)  # noqa: E731
+        assert known(f) is f and known(nested) is nested
+        return scale
+
+    jax.jit(closes_over_a_tracer)(1.0)
+    jax.grad(closes_over_a_tracer)(1.0)
+    jax.vmap(closes_over_a_tracer)(jnp.ones(3))
+
+
+def test_chunks_of_rebuilt_models_compile_nothing_anew():
+    ys = np.zeros((6, 2))
+    *_, first = mo.run_in_chunks(2, mo.ExtendedKalmanFilter(), cubic(), ys, chunk=2)
+    compiled = running._run._cache_size()
+    *_, second = mo.run_in_chunks(2, mo.ExtendedKalmanFilter(), cubic(), ys, chunk=2)
+    assert running._run._cache_size() == compiled
+    np.testing.assert_array_equal(first.mean, second.mean)
+
+
+def test_transformations_see_what_functions_close_over(double):
+    ys = jnp.asarray(mo.simulate(0, cubic(), 5)[1])
+
+    def evidence(scale):
+        return mo.run(0, mo.ExtendedKalmanFilter(), model(lambda x, u, t: scale * x), ys).log_likelihood
+
+    scales = jnp.array([0.5, 0.7, 0.9])
+    alone = np.array([evidence(scale) for scale in scales.tolist()])
+    assert len(set(alone.tolist())) == 3
+    np.testing.assert_allclose(jax.vmap(evidence)(scales), alone, rtol=1e-5)
+    np.testing.assert_allclose(list(map(jax.jit(evidence), scales)), alone, rtol=1e-5)
+    step = 1e-5
+    slope = [(evidence(s + step) - evidence(s - step)) / (2 * step) for s in scales.tolist()]
+    np.testing.assert_allclose(list(map(jax.jit(jax.grad(evidence)), scales)), slope, rtol=1e-5)
+
+
+def test_nothing_is_kept_alive():
+    array = np.zeros(100_000, np.float32)
+
+    def build():
+        big = array.copy()
+        f = lambda x, u, t: x + jnp.asarray(big)[:2]  # noqa: E731
+        known(f)
+        return weakref.ref(f)
+
+    gone = build()
+    jax.clear_caches()
+    gc.collect()
+    assert gone() is None
+
+
+def test_a_known_function_is_not_traced_again():
+    traced = []
+
+    def f(x, u, t):
+        traced.append(1)
+        return x
+
+    for _ in range(3):
+        known(f)
+    assert len(traced) == 1
+
+
+def test_large_arrays_are_compared_by_all_their_bytes():
+    array = np.arange(100, dtype=np.float32)
+    other = array.copy()
+    other[-1] += 1
+
+    def closing(a):
+        return known(lambda x, u, t: x + a.sum() + jnp.asarray(a)[t])
+
+    assert closing(array) == closing(array.copy())
+    assert closing(array) != closing(other)
