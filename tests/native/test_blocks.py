@@ -20,7 +20,8 @@ def log_weights(kind, n):
         raw = {
             "mild": generator.normal(size=n), "wild": 30 * generator.normal(size=n), "equal": np.zeros(n),
             "one": np.where(np.arange(n) == n // 3, 0.0, -np.inf), "last": np.where(np.arange(n) == n - 1, 0.0, -np.inf),
-            "halves": np.where(np.arange(n) < n // 2, 0.0, -np.inf), "gaps": np.where(np.arange(n) % 7 == 3, generator.normal(size=n), -np.inf),
+            "halves": np.where(np.arange(n) < n // 2, 0.0, -np.inf),
+            "gaps": np.where(np.arange(n) % 7 == 3, generator.normal(size=n), -np.inf),
             "steep": -np.arange(n) / 50.0, "tiny tail": np.where(np.arange(n) < 5, 0.0, -30.0),
         }[kind]  # fmt: skip
     return logspace.normalize(jnp.asarray(raw, jnp.float32))[0]

@@ -35,8 +35,8 @@ def joint_weights(log_weights: LogWeights, log_likelihood: LogWeights, ceiling: 
     log_likelihood = jnp.where(invalid, -jnp.inf, log_likelihood)
     weights, log_evidence = normalize(log_weights + log_likelihood)
     gap = jnp.min(jnp.where(jnp.isfinite(ceiling), ceiling - log_likelihood, 0))
-    numbers = (log_evidence, effective_size(weights), jnp.sum(invalid, dtype=weights.dtype), jnp.min(log_likelihood), jnp.max(log_likelihood), gap)
-    return weights, jnp.stack(numbers)
+    lowest, highest = jnp.min(log_likelihood), jnp.max(log_likelihood)
+    return weights, jnp.stack([log_evidence, effective_size(weights), jnp.sum(invalid, dtype=weights.dtype), lowest, highest, gap])
 
 
 def uniform_weights(n: int, dtype: jnp.dtype) -> LogWeights:

@@ -87,7 +87,7 @@ def _normal_numbers(key: jax.Array, rows: int, n: int) -> jax.Array:
     return normal_block(key, rows, n)
 
 
-NORMAL = _normal_numbers.__name__
+NORMAL = "_normal_numbers"
 
 
 @engine.replaceable
@@ -150,7 +150,7 @@ def _uniform_numbers(key: jax.Array, rows: int, n: int, dtype: jnp.dtype) -> jax
     return (first >> 8).astype(jnp.float32) * np.float32(2.0**-24)
 
 
-UNIFORM = _uniform_numbers.__name__
+UNIFORM = "_uniform_numbers"
 """Names under which blocks of random numbers stand in traced programs."""
 
 

@@ -96,7 +96,7 @@ def reweigh(cloud: C, judge: Callable[[C], tuple[C, jax.Array, jax.Array]]) -> t
 
     Args:
         cloud: law of n weighted particles.
-        judge: gives the corrected cloud, the log likelihood of each particle `(n,)` and its ceiling (see `weigh`), each particle on its own.
+        judge: gives the corrected cloud, the log likelihood of each particle `(n,)` and its ceiling (see `weigh`), each on its own.
     """
     native = cloudwise.reweigh(cloud, judge)
     if native is not None:

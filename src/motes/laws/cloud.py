@@ -10,8 +10,8 @@ from motes.laws.law import Law
 
 @engine.replaceable
 def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Mean `(x,)` and covariance `(x, x)` of points under normalized log weights `(n,)`; points come in parts `(x_1, n)`, `(x_2, n)`, ..."""
-    points, weights = jnp.concatenate(parts) if len(parts) > 1 else parts[0], jnp.exp(log_weights)
+    """Mean `(x,)` and covariance `(x, x)` of points under normalized log weights `(n,)`; points come in parts `(x_1, n)`, ..."""
+    points, weights = jnp.concatenate(parts), jnp.exp(log_weights)
     mean = jnp.matmul(points, weights, precision=jax.lax.Precision.HIGHEST)
     off = points - mean[:, None]
     return mean, jnp.matmul(off * weights, off.T, precision=jax.lax.Precision.HIGHEST)

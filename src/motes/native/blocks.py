@@ -70,7 +70,7 @@ def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Arr
 
 
 def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.Array) -> tuple[jax.Array, jax.Array] | None:
-    """Return ancestors `(n,)` and log weights `(n,)` after resampling where the policy asks for it, or None for other schemes and policies."""
+    """Return ancestors `(n,)` and log weights `(n,)`, resampled where the policy asks for it; None for schemes and policies not known."""
     codes = {Always: 0, Never: 1, ESS: 2, Entropy: 3}
     if type(scheme) is not Systematic or type(policy) not in codes or not usable(log_weights):
         return None

@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import eval_jaxpr
 
 from motes.core import engine, logspace
 from motes.core.record import replace
@@ -77,7 +78,7 @@ def evolve(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, cloud: Any, mo
         return call_move(stage, words, tables, ancestors, lanes)
 
     def pure(words: Any, tables: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
-        return jax.core.eval_jaxpr(program.jaxpr, consts, *(lane[..., ancestors] for lane in lanes))[: len(lanes)]
+        return eval_jaxpr(program.jaxpr, consts, *(lane[..., ancestors] for lane in lanes))[: len(lanes)]
 
     moved = blocks.differentiable(native, pure)(stage.words, stage.tables, ancestors, parts.lanes, program.consts)
     return replace(parts.together(cloud, [*moved, *stage.rest]), ancestors=ancestors, log_weights=log_weights)
@@ -102,7 +103,7 @@ def reweigh(cloud: Any, judge: Callable[[Any], tuple[Any, jax.Array, jax.Array]]
         return call_weigh(stage, words, tables, log_weights, lanes)
 
     def pure(words: Any, tables: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
-        likelihood, ceiling, *outs = jax.core.eval_jaxpr(program.jaxpr, consts, *lanes)
+        likelihood, ceiling, *outs = eval_jaxpr(program.jaxpr, consts, *lanes)
         return *engine.original(logspace.joint_weights)(log_weights, likelihood, ceiling), outs[: len(lanes)]
 
     given = (stage.words, stage.tables, cloud.log_weights, parts.lanes, program.consts)

@@ -19,8 +19,8 @@ FLAGS = (
     "-std=c++17", "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fwrapv", "-fopenmp-simd",
     "-fPIC", "-shared", "-fvisibility=hidden", "-w",
 )  # fmt: skip
-"""No flag lets the compiler take NaN for impossible or reorder a sum that is not marked. Hidden names keep kernels of different models, which
-share them, apart."""
+"""No flag lets the compiler take NaN for impossible or reorder a sum that is not marked. Hidden names keep the kernels of different models,
+which have the same names inside, apart."""
 SECONDS = 300
 
 

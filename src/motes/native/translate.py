@@ -9,12 +9,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.extend
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from motes.core import random
-from motes.native import rules
 from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal
 
 MOST_STATEMENTS = 6_000
@@ -148,8 +147,8 @@ class Translator:
         if found is None:
             raise Untranslatable(f"the operation {name}")
         text, kind = found
-        results = [self._named(kind, text.format(*(operand.text for operand in each))) for each in zip(*(w.flat for w in wide), strict=True)]
-        return _array(results, wide[0].shape)
+        together = zip(*(operand.flat for operand in wide), strict=True)
+        return _array([self._named(kind, text.format(*(one.text for one in each))) for each in together], wide[0].shape)
 
     def _moved(self, eqn: Any, operands: list[Any]) -> list[np.ndarray]:
         """Find where each element goes by moving their numbers instead."""
@@ -160,7 +159,7 @@ class Translator:
             if says_where(i):
                 if is_lane(value):
                     raise Untranslatable(f"the operation {eqn.primitive.name} at places that depend on the particle")
-                if isinstance(value, jax.core.Tracer):
+                if isinstance(value, Tracer):
                     raise Untranslatable(f"the operation {eqn.primitive.name} at places that are not known beforehand")
                 numbers.append(value)
                 continue
@@ -233,7 +232,7 @@ def _array(elements: list[Scalar], shape: Sequence[int]) -> np.ndarray:
 
 def _by_jax(eqn: Any, operands: list[Any]) -> Sequence[Any]:
     """Let JAX work out an operation: at once where all is known, else as part of the program that is being traced."""
-    if any(isinstance(value, jax.core.Tracer) for value in operands):
+    if any(isinstance(value, Tracer) for value in operands):
         results = eqn.primitive.bind(*operands, **eqn.params)
         return results if eqn.primitive.multiple_results else [results]
     with jax.ensure_compile_time_eval():
@@ -243,7 +242,7 @@ def _by_jax(eqn: Any, operands: list[Any]) -> Sequence[Any]:
 
 def _plain(value: Any) -> Any:
     """Make a known array a NumPy one (keys stay as they are)."""
-    if isinstance(value, jax.core.Tracer) or jnp.issubdtype(value.dtype, jax.dtypes.extended):
+    if isinstance(value, Tracer) or jnp.issubdtype(value.dtype, jax.dtypes.extended):
         return value
     return np.asarray(value)
 
@@ -252,5 +251,3 @@ def traced(function: Callable[..., Any], leaves: Sequence[Any], n: int) -> Any:
     """Trace a function of arrays `(..., n)` for another number of particles."""
     return jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct((*leaf.shape[:-1], n), leaf.dtype) for leaf in leaves))
 
-
-__all__ = ["Translator", "Untranslatable", "block_of", "inner", "is_lane", "rules", "traced"]
