@@ -1,0 +1,223 @@
+// What this machine can do: bootstrap particle filters on the two models of problems.py, fused by hand, every loop vectorized.
+//
+// Particles are worked on in blocks that stay in the first-level cache. A step has two passes with a barrier behind each:
+//   1. block by block: gather parents, move, add noise, weigh, exponentiate against the block's own maximum, sum;
+//   2. block by block: running sums of the weights -> end of each particle's row of children -> ancestors.
+// Normal numbers are Threefry-2x32-20 words through the inverse error function (Giles 2010). Resampling is systematic, at every step.
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <omp.h>
+
+namespace {
+constexpr int BLOCK = 1024;
+constexpr float LOG_TWO_PI = 1.8378770664f;
+
+struct Words { uint32_t first, second; };
+
+inline uint32_t rotate(uint32_t x, int by) { return (x << by) | (x >> (32 - by)); }
+
+inline Words threefry(uint32_t key0, uint32_t key1, uint32_t a, uint32_t b) {
+  const uint32_t key2 = key0 ^ key1 ^ 0x1BD11BDAu;
+  a += key0; b += key1;
+#define MIX(by) a += b; b = rotate(b, by); b ^= a;
+#define EVEN MIX(13) MIX(15) MIX(26) MIX(6)
+#define ODD MIX(17) MIX(29) MIX(16) MIX(24)
+  EVEN a += key1; b += key2 + 1;
+  ODD a += key2; b += key0 + 2;
+  EVEN a += key0; b += key1 + 3;
+  ODD a += key1; b += key2 + 4;
+  EVEN a += key2; b += key0 + 5;
+  return {a, b};
+}
+
+// Giles's approximation of the inverse error function in single precision, times the square root of two.
+inline float normal(uint32_t word) {
+  constexpr float near[9] = {2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 0.00021858087f,
+                             -0.00125372503f, -0.00417768164f, 0.246640727f, 1.50140941f};
+  constexpr float tail[9] = {-0.000200214257f, 0.000100950558f, 0.00134934322f, -0.00367342844f, 0.00573950773f,
+                             -0.0076224613f, 0.00943887047f, 1.00167406f, 2.83297682f};
+  float x = (float(int32_t(word)) + 0.5f) * 4.6566126e-10f;
+  x = std::min(std::max(x, -0.99999994f), 0.99999994f);
+  const float w = -logf((1 - x) * (1 + x)), inner = w - 2.5f, outer = sqrtf(w) - 3;
+  float p = near[0], q = tail[0];
+#pragma GCC unroll 8
+  for (int k = 1; k < 9; k++) p = p * inner + near[k], q = q * outer + tail[k];
+  return 1.41421356f * x * (w < 5 ? p : q);
+}
+
+inline float azimuth(float y, float x) {
+  const float u = fabsf(x), v = fabsf(y), ratio = std::min(u, v) / std::max(u, v), s = ratio * ratio;
+  float p = 2.903552482e-03f;
+  p = p * s - 1.628300781e-02f; p = p * s + 4.303936747e-02f; p = p * s - 7.533676016e-02f; p = p * s + 1.065467737e-01f;
+  p = p * s - 1.420713364e-01f; p = p * s + 1.999305410e-01f; p = p * s - 3.333309396e-01f; p = p * s + 1.0f;
+  float angle = p * ratio;
+  angle = v > u ? 1.57079633f - angle : angle;
+  angle = x < 0 ? 3.14159265f - angle : angle;
+  return copysignf(angle, y);
+}
+
+struct Radar {
+  static constexpr int SIZE = 6, MEASURED = 2;
+  static constexpr float mean[6] = {300, 300, 5, -5, 0, 0}, spread[6] = {2, 2, 4, 4, 0.2f, 0.2f};
+  static constexpr float noise[6] = {1, 1, 1, 1, 0.1f, 0.1f};
+  static inline void move(const float *p, float *x) {
+    x[0] = p[0] + 0.5f * p[2] + 0.125f * p[4];
+    x[1] = p[1] + 0.5f * p[3] + 0.125f * p[5];
+    x[2] = p[2] + 0.5f * p[4];
+    x[3] = p[3] + 0.5f * p[5];
+    x[4] = p[4];
+    x[5] = p[5];
+  }
+  static inline float log_density(const float *y, const float *x) {
+    const float range = y[0] - sqrtf(x[0] * x[0] + x[1] * x[1]), angle = y[1] - azimuth(x[1], x[0]);
+    return -0.5f * (range * range * 0.01f + angle * angle * 1e6f);
+  }
+  static double constant() { return -0.5 * (2 * LOG_TWO_PI + std::log(1e-4)); }
+};
+
+struct Line {
+  static constexpr int SIZE = 1, MEASURED = 1;
+  static constexpr float mean[1] = {0}, spread[1] = {1}, noise[1] = {0.70710678f};
+  static inline void move(const float *p, float *x) { x[0] = 0.9f * p[0]; }
+  static inline float log_density(const float *y, const float *x) { return (y[0] - x[0]) * (y[0] - x[0]) * (-0.5f / 0.3f); }
+  static double constant() { return -0.5 * (LOG_TWO_PI + std::log(0.3)); }
+};
+
+struct Part { double sum, squares, before; float highest; };
+
+// The state of a run: two clouds that take turns, weights within blocks, ancestors.
+template <class Model> struct Filter {
+  int n, blocks;
+  std::unique_ptr<float[]> clouds[2], weights;
+  std::unique_ptr<int[]> ancestors;
+  std::unique_ptr<Part[]> parts;
+  double log_likelihood = 0, ess = 0;
+
+  explicit Filter(int n) : n(n), blocks((n + BLOCK - 1) / BLOCK) {
+    const size_t room = size_t(blocks) * BLOCK;
+    for (auto &cloud : clouds) cloud.reset(new float[room * Model::SIZE]);
+    weights.reset(new float[room]);
+    ancestors.reset(new int[room]);
+    parts.reset(new Part[blocks]);
+  }
+
+  int length(int block) const { return std::min(BLOCK, n - block * BLOCK); }
+
+  void advance(int block, int step, const float *y, uint32_t seed) {
+    constexpr int D = Model::SIZE;
+    alignas(64) float noise[(D + 1) / 2 * 2][BLOCK];
+    const size_t room = size_t(blocks) * BLOCK;
+    const int begin = block * BLOCK, count = length(block);
+    const float *old = clouds[step % 2].get();
+    float *fresh = clouds[1 - step % 2].get() + begin, *weight = weights.get() + begin;
+    const int *parent = ancestors.get() + begin;
+    for (int pair = 0; pair < (D + 1) / 2; pair++) {
+#pragma omp simd
+      for (int i = 0; i < BLOCK; i++) {
+        const Words words = threefry(seed, step, begin + i, pair);
+        noise[2 * pair][i] = normal(words.first);
+        noise[2 * pair + 1][i] = normal(words.second);
+      }
+    }
+    float highest = -INFINITY;
+#pragma omp simd reduction(max : highest)
+    for (int i = 0; i < count; i++) {
+      float before[D], x[D];
+#pragma GCC unroll 8
+      for (int d = 0; d < D; d++) before[d] = step ? old[d * room + parent[i]] : Model::mean[d];
+      if (step) Model::move(before, x);
+      else for (int d = 0; d < D; d++) x[d] = before[d];
+#pragma GCC unroll 8
+      for (int d = 0; d < D; d++) {
+        x[d] += (step ? Model::noise[d] : Model::spread[d]) * noise[d][i];
+        fresh[d * room + i] = x[d];
+      }
+      weight[i] = Model::log_density(y, x);
+      highest = std::max(highest, weight[i]);
+    }
+    float sum = 0, squares = 0;
+#pragma omp simd reduction(+ : sum, squares)
+    for (int i = 0; i < count; i++) {
+      weight[i] = expf(weight[i] - highest);
+      sum += weight[i];
+      squares += weight[i] * weight[i];
+    }
+    parts[block] = {sum, squares, 0, highest};
+  }
+
+  // Bring the blocks to a common scale: `before` becomes the number of children expected of all particles before the block.
+  void join() {
+    float highest = -INFINITY;
+    for (int k = 0; k < blocks; k++) highest = std::max(highest, parts[k].highest);
+    double total = 0, squares = 0;
+    for (int k = 0; k < blocks; k++) {
+      const double scale = std::exp(double(parts[k].highest - highest));
+      parts[k].before = total;
+      total += parts[k].sum * scale;
+      squares += parts[k].squares * scale * scale;
+    }
+    for (int k = 0; k < blocks; k++) parts[k].before *= n / total;
+    log_likelihood += Model::constant() + highest + std::log(total / n);
+    ess = total * total / squares;
+  }
+
+  int end_of(double expected, double u) const { return std::min(std::max(int(std::ceil(expected - u)), 0), n); }
+
+  void resample(int block, double u) {
+    alignas(64) int ends[BLOCK];
+    const int begin = block * BLOCK, count = length(block);
+    const double before = parts[block].before, after = block + 1 < blocks ? parts[block + 1].before : n;
+    const double scale = (after - before) / parts[block].sum;
+    const float *weight = weights.get() + begin;
+    const int first = end_of(before, u), last = block + 1 < blocks ? end_of(after, u) : n;
+    double running = 0;
+#pragma omp simd reduction(inscan, + : running)
+    for (int i = 0; i < count; i++) {
+      running += weight[i];
+#pragma omp scan inclusive(running)
+      ends[i] = int(std::ceil(before + running * scale - u));
+    }
+    int *row = ancestors.get();
+    std::memset(row + first, 0, size_t(last - first) * sizeof(int));
+    // the last particle that writes to a place is the one that has children there
+    int place = first;
+    for (int i = 0; i < count && place < last; i++) {
+      row[place] = begin + i;
+      place = std::max(place, ends[i]);
+    }
+    int latest = begin;
+#pragma omp simd reduction(inscan, max : latest)
+    for (int j = first; j < last; j++) {
+      latest = std::max(latest, row[j]);
+#pragma omp scan inclusive(latest)
+      row[j] = latest;
+    }
+  }
+
+  void run(int steps, const float *ys, uint32_t seed) {
+#pragma omp parallel
+    for (int step = 0; step < steps; step++) {
+#pragma omp for schedule(static)
+      for (int k = 0; k < blocks; k++) advance(k, step, ys + step * Model::MEASURED, seed);
+#pragma omp single
+      join();
+      const double u = threefry(seed, step, 0, 0x80000000u).first * 2.3283064365386963e-10;
+#pragma omp for schedule(static)
+      for (int k = 0; k < blocks; k++) resample(k, u);
+    }
+  }
+};
+
+template <class Model> double log_likelihood(int n, int steps, const float *ys, uint32_t seed) {
+  Filter<Model> filter(n);
+  filter.run(steps, ys, seed);
+  return filter.log_likelihood;
+}
+}  // namespace
+
+// ys holds the measurements step by step; the result is the log likelihood of all.
+extern "C" double radar(int n, int steps, const float *ys, uint32_t seed) { return log_likelihood<Radar>(n, steps, ys, seed); }
+extern "C" double line(int n, int steps, const float *ys, uint32_t seed) { return log_likelihood<Line>(n, steps, ys, seed); }
