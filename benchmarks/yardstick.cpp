@@ -12,7 +12,7 @@
 #include <omp.h>
 
 namespace {
-constexpr int BLOCK = 1024;
+constexpr int BLOCK = 1024, VECTOR = 8;
 constexpr float LOG_TWO_PI = 1.8378770664f;
 
 struct Words { uint32_t first, second; };
@@ -33,6 +33,16 @@ inline Words threefry(uint32_t key0, uint32_t key1, uint32_t a, uint32_t b) {
   return {a, b};
 }
 
+// Natural logarithm of a normal positive number, absolute error 1e-7; inline, so that nothing is spilled around a call.
+inline float logarithm(float x) {
+  const int32_t bits = __builtin_bit_cast(int32_t, x), exponent = (bits - 0x3f3504f3) >> 23;
+  const float f = __builtin_bit_cast(float, bits - (exponent << 23)) - 1;
+  float p = -1.01022349e-01f;
+  p = p * f + 1.64199890e-01f; p = p * f - 1.73334655e-01f; p = p * f + 1.98730466e-01f; p = p * f - 2.49593438e-01f;
+  p = p * f + 3.33361820e-01f; p = p * f - 5.00006674e-01f; p = p * f + 9.99999814e-01f;
+  return p * f + float(exponent) * 0.693147181f;
+}
+
 // Giles's approximation of the inverse error function in single precision, times the square root of two.
 inline float normal(uint32_t word) {
   constexpr float near[9] = {2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 0.00021858087f,
@@ -41,7 +51,7 @@ inline float normal(uint32_t word) {
                              -0.0076224613f, 0.00943887047f, 1.00167406f, 2.83297682f};
   float x = (float(int32_t(word)) + 0.5f) * 4.6566126e-10f;
   x = std::min(std::max(x, -0.99999994f), 0.99999994f);
-  const float w = -logf((1 - x) * (1 + x)), inner = w - 2.5f, outer = sqrtf(w) - 3;
+  const float w = -logarithm((1 - x) * (1 + x)), inner = w - 2.5f, outer = sqrtf(w) - 3;
   float p = near[0], q = tail[0];
 #pragma GCC unroll 8
   for (int k = 1; k < 9; k++) p = p * inner + near[k], q = q * outer + tail[k];
@@ -59,20 +69,24 @@ inline float azimuth(float y, float x) {
   return copysignf(angle, y);
 }
 
+// Rows hold one component each of all particles; a model moves particle a of the old rows to place i of the new ones, and weighs it there.
+using Rows = float *const *;
+using Noise = const float (*)[BLOCK];
+
 struct Radar {
   static constexpr int SIZE = 6, MEASURED = 2;
   static constexpr float mean[6] = {300, 300, 5, -5, 0, 0}, spread[6] = {2, 2, 4, 4, 0.2f, 0.2f};
-  static constexpr float noise[6] = {1, 1, 1, 1, 0.1f, 0.1f};
-  static inline void move(const float *p, float *x) {
-    x[0] = p[0] + 0.5f * p[2] + 0.125f * p[4];
-    x[1] = p[1] + 0.5f * p[3] + 0.125f * p[5];
-    x[2] = p[2] + 0.5f * p[4];
-    x[3] = p[3] + 0.5f * p[5];
-    x[4] = p[4];
-    x[5] = p[5];
+  static inline void move(Rows old, int a, Rows x, int i, Noise noise) {
+    const float px = old[0][a], py = old[1][a], vx = old[2][a], vy = old[3][a], ax = old[4][a], ay = old[5][a];
+    x[0][i] = px + 0.5f * vx + 0.125f * ax + noise[0][i];
+    x[1][i] = py + 0.5f * vy + 0.125f * ay + noise[1][i];
+    x[2][i] = vx + 0.5f * ax + noise[2][i];
+    x[3][i] = vy + 0.5f * ay + noise[3][i];
+    x[4][i] = ax + 0.1f * noise[4][i];
+    x[5][i] = ay + 0.1f * noise[5][i];
   }
-  static inline float log_density(const float *y, const float *x) {
-    const float range = y[0] - sqrtf(x[0] * x[0] + x[1] * x[1]), angle = y[1] - azimuth(x[1], x[0]);
+  static inline float log_density(const float *y, Rows x, int i) {
+    const float range = y[0] - sqrtf(x[0][i] * x[0][i] + x[1][i] * x[1][i]), angle = y[1] - azimuth(x[1][i], x[0][i]);
     return -0.5f * (range * range * 0.01f + angle * angle * 1e6f);
   }
   static double constant() { return -0.5 * (2 * LOG_TWO_PI + std::log(1e-4)); }
@@ -80,9 +94,9 @@ struct Radar {
 
 struct Line {
   static constexpr int SIZE = 1, MEASURED = 1;
-  static constexpr float mean[1] = {0}, spread[1] = {1}, noise[1] = {0.70710678f};
-  static inline void move(const float *p, float *x) { x[0] = 0.9f * p[0]; }
-  static inline float log_density(const float *y, const float *x) { return (y[0] - x[0]) * (y[0] - x[0]) * (-0.5f / 0.3f); }
+  static constexpr float mean[1] = {0}, spread[1] = {1};
+  static inline void move(Rows old, int a, Rows x, int i, Noise noise) { x[0][i] = 0.9f * old[0][a] + 0.70710678f * noise[0][i]; }
+  static inline float log_density(const float *y, Rows x, int i) { return (y[0] - x[0][i]) * (y[0] - x[0][i]) * (-0.5f / 0.3f); }
   static double constant() { return -0.5 * (LOG_TWO_PI + std::log(0.3)); }
 };
 
@@ -107,41 +121,49 @@ template <class Model> struct Filter {
   int length(int block) const { return std::min(BLOCK, n - block * BLOCK); }
 
   void advance(int block, int step, const float *y, uint32_t seed) {
-    constexpr int D = Model::SIZE;
-    alignas(64) float noise[(D + 1) / 2 * 2][BLOCK];
-    const size_t room = size_t(blocks) * BLOCK;
+    constexpr int D = Model::SIZE, PAIRS = (D + 1) / 2;
+    alignas(64) uint32_t words[2 * PAIRS][BLOCK];
+    alignas(64) float noise[D][BLOCK];
     const int begin = block * BLOCK, count = length(block);
-    const float *old = clouds[step % 2].get();
-    float *fresh = clouds[1 - step % 2].get() + begin, *weight = weights.get() + begin;
     const int *parent = ancestors.get() + begin;
-    for (int pair = 0; pair < (D + 1) / 2; pair++) {
+    float *weight = weights.get() + begin;
+    for (int pair = 0; pair < PAIRS; pair++) {
+      uint32_t *even = words[2 * pair], *odd = words[2 * pair + 1];
 #pragma omp simd
       for (int i = 0; i < BLOCK; i++) {
-        const Words words = threefry(seed, step, begin + i, pair);
-        noise[2 * pair][i] = normal(words.first);
-        noise[2 * pair + 1][i] = normal(words.second);
+        const Words both = threefry(seed, step, begin + i, pair);
+        even[i] = both.first;
+        odd[i] = both.second;
       }
+    }
+    for (int d = 0; d < D; d++) {
+#pragma omp simd
+      for (int i = 0; i < BLOCK; i++) noise[d][i] = normal(words[d][i]);
+    }
+    float *old[D], *x[D];
+    for (int d = 0; d < D; d++) {
+      const size_t row = size_t(d) * blocks * BLOCK;
+      old[d] = clouds[step % 2].get() + row;
+      x[d] = clouds[1 - step % 2].get() + row + begin;
+    }
+    if (step) {
+#pragma omp simd
+      for (int i = 0; i < count; i++) Model::move(old, parent[i], x, i, noise);
+    } else {
+      for (int d = 0; d < D; d++)
+        for (int i = 0; i < count; i++) x[d][i] = Model::mean[d] + Model::spread[d] * noise[d][i];
     }
     float highest = -INFINITY;
 #pragma omp simd reduction(max : highest)
     for (int i = 0; i < count; i++) {
-      float before[D], x[D];
-#pragma GCC unroll 8
-      for (int d = 0; d < D; d++) before[d] = step ? old[d * room + parent[i]] : Model::mean[d];
-      if (step) Model::move(before, x);
-      else for (int d = 0; d < D; d++) x[d] = before[d];
-#pragma GCC unroll 8
-      for (int d = 0; d < D; d++) {
-        x[d] += (step ? Model::noise[d] : Model::spread[d]) * noise[d][i];
-        fresh[d * room + i] = x[d];
-      }
-      weight[i] = Model::log_density(y, x);
-      highest = std::max(highest, weight[i]);
+      const float value = Model::log_density(y, x, i);
+      weight[i] = value;
+      highest = value > highest ? value : highest;
     }
     float sum = 0, squares = 0;
 #pragma omp simd reduction(+ : sum, squares)
     for (int i = 0; i < count; i++) {
-      weight[i] = expf(weight[i] - highest);
+      weight[i] = expf(std::max(weight[i] - highest, -40.0f));
       sum += weight[i];
       squares += weight[i] * weight[i];
     }
@@ -180,20 +202,19 @@ template <class Model> struct Filter {
 #pragma omp scan inclusive(running)
       ends[i] = int(std::ceil(before + running * scale - u));
     }
+    ends[count - 1] = last;
+    // each particle writes a whole vector, without asking how many children it has; those after it overwrite what was too much
     int *row = ancestors.get();
-    std::memset(row + first, 0, size_t(last - first) * sizeof(int));
-    // the last particle that writes to a place is the one that has children there
     int place = first;
-    for (int i = 0; i < count && place < last; i++) {
-      row[place] = begin + i;
-      place = std::max(place, ends[i]);
-    }
-    int latest = begin;
-#pragma omp simd reduction(inscan, max : latest)
-    for (int j = first; j < last; j++) {
-      latest = std::max(latest, row[j]);
-#pragma omp scan inclusive(latest)
-      row[j] = latest;
+    for (int i = 0; i < count; i++) {
+      const int end = ends[i], me = begin + i;
+      int done = place;
+      if (place + VECTOR <= last) {
+        for (int j = 0; j < VECTOR; j++) row[place + j] = me;
+        done += VECTOR;
+      }
+      for (int j = done; j < end; j++) row[j] = me;
+      place = end;
     }
   }
 
