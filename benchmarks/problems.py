@@ -42,7 +42,7 @@ def measurements(model, steps, seed=1):
     draw = np.random.default_rng(seed).standard_normal
     if model == "line":
         move, measure = (lambda x: LINE["a"] * x), (lambda x: x)
-        numbers = {"Q": np.array([LINE["q"]]), "R": np.array([LINE["r"]]), "mean": np.array([LINE["mean"]]), "P": np.array([LINE["variance"]])}
+        numbers = {name: np.array([LINE[short]]) for name, short in (("Q", "q"), ("R", "r"), ("mean", "mean"), ("P", "variance"))}
     elif model == "track":
         numbers, move, measure = TRACK, (lambda x: TRACK["A"] @ x), (lambda x: TRACK["H"] @ x)
     else:

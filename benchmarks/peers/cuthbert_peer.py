@@ -6,9 +6,10 @@ import jax.numpy as jnp
 from cuthbert.gaussian import kalman
 from cuthbert.smc import particle_filter
 from cuthbertlib.resampling import systematic
+from problems import TRACK
+
 from peers import offers
 from peers.jax_model import model_functions
-from problems import TRACK
 
 
 def prepare(task):

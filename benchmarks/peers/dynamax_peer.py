@@ -3,8 +3,9 @@
 import jax
 import jax.numpy as jnp
 from dynamax.linear_gaussian_ssm.inference import lgssm_filter, make_lgssm_params
-from peers import Unavailable
 from problems import TRACK
+
+from peers import Unavailable
 
 
 def prepare(task):

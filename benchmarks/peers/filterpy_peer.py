@@ -2,8 +2,9 @@
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from peers import Unavailable
 from problems import TRACK
+
+from peers import Unavailable
 
 
 def prepare(task):

@@ -5,10 +5,10 @@ from contextlib import nullcontext
 import jax
 import jax.numpy as jnp
 import numpy as np
-from peers import Unavailable, offers
 from problems import INTERVAL, LINE, RADAR, TRACK
 
 import motes as mo
+from peers import Unavailable, offers
 
 
 def line_model():

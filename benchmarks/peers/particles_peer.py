@@ -7,8 +7,9 @@ import particles
 from particles import distributions as dists
 from particles import kalman
 from particles import state_space_models as ssm
-from peers import offers
 from problems import LINE, RADAR, TRACK
+
+from peers import offers
 
 warnings.filterwarnings("ignore")
 

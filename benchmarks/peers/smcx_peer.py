@@ -3,9 +3,10 @@
 import jax
 import jax.numpy as jnp
 import smcx
+from problems import TRACK
+
 from peers import offers
 from peers.jax_model import model_functions
-from problems import TRACK
 
 
 def prepare(task):

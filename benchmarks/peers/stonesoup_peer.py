@@ -3,7 +3,6 @@
 from datetime import datetime, timedelta
 
 import numpy as np
-from peers import offers
 from problems import INTERVAL, LINE, RADAR, TRACK
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
@@ -19,6 +18,8 @@ from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.state import GaussianState, ParticleState
 from stonesoup.updater.kalman import KalmanUpdater
 from stonesoup.updater.particle import ParticleUpdater
+
+from peers import offers
 
 START = datetime(2000, 1, 1)
 
@@ -80,7 +81,8 @@ def bootstrap(task, ys):
 
 
 def kalman(ys):
-    predictor = KalmanPredictor(LinearGaussianTimeInvariantTransitionModel(transition_matrix=TRACK["A"], covariance_matrix=np.diag(TRACK["Q"])))
+    dynamics = LinearGaussianTimeInvariantTransitionModel(transition_matrix=TRACK["A"], covariance_matrix=np.diag(TRACK["Q"]))
+    predictor = KalmanPredictor(dynamics)
     updater = KalmanUpdater(LinearGaussian(ndim_state=4, mapping=(0, 1), noise_covar=np.diag(TRACK["R"])))
 
     def job(seed):

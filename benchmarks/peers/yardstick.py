@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+
 from peers import Unavailable
 
 SOURCE = Path(__file__).parents[1] / "yardstick.cpp"
