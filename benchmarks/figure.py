@@ -8,7 +8,16 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from report import measured, typical
 
-COLORS = {"motes (JAX)": "#1f6fb2", "motes (native)": "#0b3d66", "C++ yardstick": "#999999"}
+COLORS = {
+    "motes (native)": "#0b3d66",
+    "motes (JAX)": "#2f86cf",
+    "C++ yardstick": "#999999",
+    "particles": "#c8553d",
+    "smcx": "#e09f3e",
+    "cuthbert": "#7a9e4f",
+    "stonesoup": "#8d6a9f",
+}
+OWN = ("motes (native)", "motes (JAX)")
 PANELS = {"line": "1-D linear Gaussian", "radar": "radar, six states"}
 
 
@@ -20,14 +29,18 @@ def draw(results: dict, path: Path) -> None:
         for record in measured(results["records"]):
             if record["case"] == "bootstrap" and record["model"] == model and "covariance" not in record["engine"]:
                 points.setdefault(record["engine"], {})[record["n"]] = typical(record)
-        for name, costs in points.items():
-            style = {"color": COLORS.get(name), "linewidth": 2.2 if name in COLORS else 1.1, "marker": "o", "markersize": 4}
-            panel.loglog(list(costs), list(costs.values()), linestyle="--" if "yardstick" in name else "-", **style)
-            panel.annotate(name, (max(costs), costs[max(costs)]), xytext=(6, 0), textcoords="offset points", fontsize=8, va="center")
+        height = 0.0
+        for name, costs in sorted(points.items(), key=lambda item: list(item[1].values())[-1]):
+            color, last = COLORS.get(name), costs[max(costs)]
+            width, dashes = 2.2 if name in OWN else 1.1, "--" if "yardstick" in name else "-"
+            panel.loglog(list(costs), list(costs.values()), color=color, linewidth=width, linestyle=dashes, marker="o", markersize=3.5)
+            # names that would lie on each other are moved apart
+            height = max(last, height * 1.3)
+            panel.text(max(costs) * 1.25, height, name, fontsize=8, va="center", color=color)
         panel.set(title=title, xlabel="particles")
         panel.spines[["top", "right"]].set_visible(False)
         panel.grid(axis="y", color="#eeeeee")
-        panel.margins(x=0.3)
+        panel.set_xlim(right=panel.get_xlim()[1] * 8)
     panels[0].set_ylabel("ns per particle and step")
     figure.savefig(path, dpi=150)
     plt.close(figure)

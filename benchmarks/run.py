@@ -97,9 +97,9 @@ def measure_starts(rows, python, folder, quick):
     task, seconds, records = write_task(folder, row), {}, []
     for turn in range(1 if quick else 3):
         for name in row.engines:
-            cache = folder / f"cache-{turn}-{ENGINES[name].module}-{len(name)}"
-            kept = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "XDG_CACHE_HOME": str(cache)}
-            for pick, model, settings in ((0, "empty cache", kept), (0, "filled cache", kept), (1, "model built anew", {})):
+            path = str(folder / f"cache {turn} {name}")
+            held = {"JAX_COMPILATION_CACHE_DIR": path, "XDG_CACHE_HOME": path, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+            for pick, model, settings in ((0, "empty cache", held), (0, "filled cache", held), (1, "model built anew", {})):
                 reply = start_up(python[name]["python"], ENGINES[name].module, task, ENGINES[name].options, settings)
                 progress(f"    {name}, {model}: {reply}")
                 if isinstance(reply, str):
