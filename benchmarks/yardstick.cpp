@@ -37,9 +37,8 @@ inline Words threefry(uint32_t key0, uint32_t key1, uint32_t a, uint32_t b) {
 inline float logarithm(float x) {
   const int32_t bits = __builtin_bit_cast(int32_t, x), exponent = (bits - 0x3f3504f3) >> 23;
   const float f = __builtin_bit_cast(float, bits - (exponent << 23)) - 1;
-  float p = -1.01022349e-01f;
-  p = p * f + 1.64199890e-01f; p = p * f - 1.73334655e-01f; p = p * f + 1.98730466e-01f; p = p * f - 2.49593438e-01f;
-  p = p * f + 3.33361820e-01f; p = p * f - 5.00006674e-01f; p = p * f + 9.99999814e-01f;
+  const float g = f * f;
+  float p = 1.00000325f - 0.500019651f * f + g * (0.333032983f - 0.248813396f * f) + (g * g) * (0.206046733f - 0.189019788f * f + g * 0.118274778f);
   return p * f + float(exponent) * 0.693147181f;
 }
 
@@ -49,9 +48,8 @@ inline float normal(uint32_t word) {
                              -0.00125372503f, -0.00417768164f, 0.246640727f, 1.50140941f};
   constexpr float tail[9] = {-0.000200214257f, 0.000100950558f, 0.00134934322f, -0.00367342844f, 0.00573950773f,
                              -0.0076224613f, 0.00943887047f, 1.00167406f, 2.83297682f};
-  float x = (float(int32_t(word)) + 0.5f) * 4.6566126e-10f;
-  x = std::min(std::max(x, -0.99999994f), 0.99999994f);
-  const float w = -logarithm((1 - x) * (1 + x)), inner = w - 2.5f, outer = sqrtf(w) - 3;
+  const float x = float(int32_t(word)) * 4.6566126e-10f;
+  const float w = -logarithm(std::max(1 - x * x, 1.1920929e-7f)), inner = w - 2.5f, outer = sqrtf(w) - 3;
   float p = near[0], q = tail[0];
 #pragma GCC unroll 8
   for (int k = 1; k < 9; k++) p = p * inner + near[k], q = q * outer + tail[k];
