@@ -27,11 +27,11 @@ def draw(results: dict, path: Path) -> None:
     for panel, (model, title) in zip(panels, PANELS.items(), strict=True):
         points: dict[str, dict[int, float]] = {}
         for record in measured(results["records"]):
-            if record["case"] == "bootstrap" and record["model"] == model and "covariance" not in record["engine"]:
+            if record["case"] == "bootstrap" and record["model"] == model and record["engine"] in COLORS:
                 points.setdefault(record["engine"], {})[record["n"]] = typical(record)
         height = 0.0
         for name, costs in sorted(points.items(), key=lambda item: list(item[1].values())[-1]):
-            color, last = COLORS.get(name), costs[max(costs)]
+            color, last = COLORS[name], costs[max(costs)]
             width, dashes = 2.2 if name in OWN else 1.1, "--" if "yardstick" in name else "-"
             panel.loglog(list(costs), list(costs.values()), color=color, linewidth=width, linestyle=dashes, marker="o", markersize=3.5)
             # names that would lie on each other are moved apart

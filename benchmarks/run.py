@@ -74,7 +74,7 @@ def measure(case, rows, python, folder, quick):
                 records.append(labelled(case, row, name, {"failed": reason}))
                 continue
             if name not in workers or workers[name].process.poll() is not None:
-                workers[name] = Worker(python[name]["python"], ENGINES[name].module)
+                workers[name] = Worker(python[name]["python"], ENGINES[name].module, ENGINES[name].environment)
             engines[name] = (workers[name], ENGINES[name].options)
         for name, record in compete(engines, write_task(folder, row), 3 if quick else 7, 2.0 if quick else 20.0).items():
             records.append(labelled(case, row, name, record))
@@ -100,7 +100,7 @@ def measure_starts(rows, python, folder, quick):
             path = str(folder / f"cache {turn} {name}")
             held = {"JAX_COMPILATION_CACHE_DIR": path, "XDG_CACHE_HOME": path, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
             for pick, model, settings in ((0, "empty cache", held), (0, "filled cache", held), (1, "model built anew", {})):
-                reply = start_up(python[name]["python"], ENGINES[name].module, task, ENGINES[name].options, settings)
+                reply = start_up(python[name]["python"], ENGINES[name], task, settings)
                 progress(f"    {name}, {model}: {reply}")
                 if isinstance(reply, str):
                     seconds[name, model] = reply

@@ -16,9 +16,9 @@ LIMIT = 60.0
 class Worker:
     """One engine's process."""
 
-    def __init__(self, python, module, environment=None):
+    def __init__(self, python, module, environment):
         """Start it."""
-        variables = os.environ | {"JAX_PLATFORMS": "cpu", "TF_CPP_MIN_LOG_LEVEL": "3"} | (environment or {})
+        variables = os.environ | {"JAX_PLATFORMS": "cpu", "TF_CPP_MIN_LOG_LEVEL": "3"} | environment
         command = [python, str(HERE / "worker.py"), module]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         self.process = subprocess.Popen(command, env=variables, cwd=HERE, **pipes)
@@ -79,11 +79,11 @@ def compete(engines, task, repeats, budget):
     return found
 
 
-def start_up(python, module, task, options, environment):
+def start_up(python, engine, task, settings):
     """Time a fresh process from its start to the end of its first run, and then a run on a model built anew; seconds, or a reason."""
     started = time.perf_counter()
-    worker = Worker(python, module, environment)
-    order = {"do": "prepare", "task": str(task), "options": options}
+    worker = Worker(python, engine.module, engine.environment | settings)
+    order = {"do": "prepare", "task": str(task), "options": engine.options}
     try:
         reply = worker.ask(order, 2 * LIMIT)
         seconds = time.perf_counter() - started
