@@ -1,7 +1,5 @@
 """Motes itself: float32, JAX or native engine, keeping nothing of each step but evidence and ESS, or mean and covariance too."""
 
-from contextlib import nullcontext
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -46,11 +44,8 @@ MODELS = {"line": line_model, "track": track_model, "radar": radar_model, "turni
 
 
 def prepare(task, engine="jax", keep="nothing"):
-    """Prepare a run; the model is built anew, from fresh functions."""
+    """Prepare a run; the model is built anew, from fresh functions. A run that another engine took over is refused."""
     offers(task, ("bootstrap", "many", "marginalized", "kalman"))
-    if engine != "jax" and not hasattr(mo, "engine"):
-        raise Unavailable("no native engine in this version")
-    chosen = mo.engine(engine) if hasattr(mo, "engine") else nullcontext()
     model, ys, keep = MODELS[task["model"]](), np.asarray(task["ys"], np.float32), getattr(mo.keep, keep)
     kind, often = task["kind"], {"policy": mo.Always(), "on_collapse": "predict"}
     if kind == "kalman":
@@ -59,20 +54,19 @@ def prepare(task, engine="jax", keep="nothing"):
         filter = mo.MarginalizedParticleFilter(n=task["n"], **often)
     else:
         filter = mo.ParticleFilter(n=task["n"], **often)
-    if kind == "many":
-        every = jax.jit(jax.vmap(lambda key: mo.run(key, filter, model, ys, keep=keep).log_likelihood))
 
-        def job(seed):
-            with chosen:
-                return float(jnp.mean(every(jax.random.split(jax.random.key(seed), task["runs"]))))
+    def log_likelihood(key):
+        history = mo.run(key, filter, model, ys, keep=keep)
+        if engine not in history.engine:
+            raise Unavailable(f"ran as {history.engine}")
+        return history.log_likelihood
 
-        return job
+    every = jax.jit(jax.vmap(log_likelihood))
 
     def job(seed):
-        with chosen:
-            history = jax.block_until_ready(mo.run(seed, filter, model, ys, keep=keep))
-        if engine not in getattr(history, "engine", "jax"):
-            raise Unavailable(f"ran as {history.engine}")
-        return float(history.log_likelihood)
+        with mo.engine(engine):
+            if kind == "many":
+                return float(jnp.mean(every(jax.random.split(jax.random.key(seed), task["runs"]))))
+            return float(log_likelihood(seed))
 
     return job
