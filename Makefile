@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+BENCH := .venv-bench
 
 .PHONY: setup demo test lint bench clean
 
@@ -29,8 +30,12 @@ lint: $(STAMP)
 	@$(BIN)/pyright
 	@$(BIN)/python tests/layering/budgets.py
 
-bench: $(STAMP)
-	@$(BIN)/python benchmarks/run.py
+bench: $(BENCH)/.installed
+	@$(BENCH)/bin/python benchmarks/run.py
+
+$(BENCH)/.installed: pyproject.toml benchmarks/environment.py
+	@$(PYTHON) benchmarks/environment.py $(BENCH)
+	@touch $(BENCH)/.installed
 
 clean:
-	rm -rf $(VENV) out build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(BENCH) out build dist .pytest_cache .ruff_cache .hypothesis
