@@ -81,16 +81,18 @@ def symmetric(a: jax.Array) -> jax.Array:
 
 def sandwich(a: jax.Array, p: jax.Array) -> jax.Array:
     """A P A', symmetric to the last bit for symmetric P."""
-    moved = product_transposed(product(a, p), a)
-    # one triangle twice, not the mean of both: compilers contract the sums in a mean differently for an entry and its mirror image
-    lower = np.tri(moved.shape[0], dtype=bool)
-    return jnp.where(lower if moved.ndim == 2 else lower[..., None], moved, transpose(moved))
+    return _mirrored(product_transposed(product(a, p), a))
+
+
+def _mirrored(a: jax.Array) -> jax.Array:
+    """Lower triangle twice, not the mean of both: compilers contract the sums in a mean differently for an entry and its mirror image."""
+    lower = np.tri(a.shape[0], dtype=bool)
+    return jnp.where(lower if a.ndim == 2 else lower[..., None], a, transpose(a))
 
 
 def rank_update(p: jax.Array, v: jax.Array, scale: jax.Array | float = 1.0) -> jax.Array:
     """P + s v v' for v `(i, *n)` and s `()` or `(n,)`, negative to take away; symmetric to the last bit for symmetric P."""
-    # v_i v_j and v_j v_i round alike, so that neither triangle needs to be mirrored: that takes compilers longer than it saves
-    return add(p, v[:, None] * v[None, :] * scale)
+    return _mirrored(add(p, v[:, None] * v[None, :] * scale))
 
 
 def identity_like(a: jax.Array) -> jax.Array:
@@ -119,15 +121,16 @@ def cholesky(a: jax.Array) -> jax.Array:
     if size == 0:
         return a
     tolerance = 4 * size * float(jnp.finfo(a.dtype).eps)
-    columns: list[jax.Array] = []
+    # entry by entry: compilers work slices of columns out again for every column that uses them
+    L = [[jnp.zeros_like(a[0, 0])] * size for _ in range(size)]
     for j in range(size):
-        column = a[j:, j]
-        for done, earlier in enumerate(columns):
-            column = column - earlier[j - done :] * earlier[j - done]
-        alive = column[0] > tolerance * a[j, j]
-        scale = jnp.where(alive, jax.lax.rsqrt(jnp.where(alive, column[0], 1)), 0)
-        columns.append(column * scale)
-    return _lower(columns)
+        pivot = a[j, j] - sum(L[j][k] * L[j][k] for k in range(j))
+        alive = pivot > tolerance * a[j, j]
+        root = jnp.sqrt(jnp.where(alive, pivot, jnp.inf))  # to divide by infinity leaves a zero column
+        L[j][j] = jnp.where(alive, root, 0)
+        for i in range(j + 1, size):
+            L[i][j] = (a[i, j] - sum(L[i][k] * L[j][k] for k in range(j))) / root
+    return jnp.stack([jnp.stack(row) for row in L])
 
 
 def cholesky_update(lower: jax.Array, v: jax.Array) -> jax.Array:
@@ -163,10 +166,8 @@ def solve_lower(lower: jax.Array, b: jax.Array) -> jax.Array:
     """Solve L z = b for b `(i, *n)` or `(i, j, *n)`; a zero pivot gives a zero component (least effort on a singular factor)."""
     rows: list[jax.Array] = []
     for i in range(lower.shape[0]):
-        rest = b[i]
-        for j, row in enumerate(rows):
-            rest = rest - lower[i, j] * row
-        rows.append(rest * _inverse_pivot(lower[i, i]))
+        known = sum(lower[i, j] * row for j, row in enumerate(rows))
+        rows.append((b[i] - known) * _inverse_pivot(lower[i, i]))
     return jnp.stack(rows) if rows else b
 
 
