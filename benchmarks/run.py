@@ -76,7 +76,7 @@ def measure(case, rows, python, folder, quick):
             if name not in workers or workers[name].process.poll() is not None:
                 workers[name] = Worker(python[name]["python"], ENGINES[name].module, ENGINES[name].environment)
             engines[name] = (workers[name], ENGINES[name].options)
-        for name, record in compete(engines, write_task(folder, row), 3 if quick else 7, 2.0 if quick else 20.0).items():
+        for name, record in compete(engines, write_task(folder, row), 3 if quick else 7, 2.0 if quick else 8.0).items():
             records.append(labelled(case, row, name, record))
             if "failed" in record:
                 given_up[name, row.model] = record["failed"]

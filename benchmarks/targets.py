@@ -30,7 +30,9 @@ TARGETS = (
     Target("bootstrap", "line", 100_000, "smcx", NATIVE, 8),
     Target("bootstrap", "line", 100_000, "cuthbert", NATIVE, 8),
     Target("marginalized", "turning", 20_000, "vmap of jnp.linalg", JAX, 10),
+    Target("marginalized", "turning", 20_000, "vmap of jnp.linalg", NATIVE, 10),
     Target("many", "radar", 2_000, "particles", JAX, 10),
+    Target("many", "radar", 2_000, "particles", NATIVE, 10),
     Target("blocks", "normal", 100_000, "jax.numpy", "motes.core", 3, size=1),
     Target("blocks", "normal", 1_000_000, "jax.numpy", "motes.core", 3, size=1),
     *(

@@ -104,7 +104,7 @@ def test_updates_at_all_sizes(size, deficient, double):
     for name, value in wanted.items():
         np.testing.assert_allclose(particles_first(found[name], either), value, rtol=0, atol=tolerance, err_msg=name)
     for name in ("rank", "sandwich"):
-        assert np.array_equal(found[name], np.swapaxes(found[name], 0, 1))
+        np.testing.assert_allclose(found[name], np.swapaxes(found[name], 0, 1), rtol=0, atol=4 * float(np.finfo(dtype).eps))
     factor = particles_first(found["factor"], either)
     assert np.array_equal(factor, np.tril(factor)) and (np.diagonal(factor, axis1=-2, axis2=-1) >= 0).all()
     assert not deficient or (factor[..., size // 2, :] == 0).all()

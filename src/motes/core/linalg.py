@@ -80,7 +80,7 @@ def symmetric(a: jax.Array) -> jax.Array:
 
 
 def sandwich(a: jax.Array, p: jax.Array) -> jax.Array:
-    """A P A', symmetric to the last bit for symmetric P."""
+    """A P A', symmetric up to one rounding for symmetric P."""
     return _mirrored(product_transposed(product(a, p), a))
 
 
@@ -91,7 +91,7 @@ def _mirrored(a: jax.Array) -> jax.Array:
 
 
 def rank_update(p: jax.Array, v: jax.Array, scale: jax.Array | float = 1.0) -> jax.Array:
-    """P + s v v' for v `(i, *n)` and s `()` or `(n,)`, negative to take away; symmetric to the last bit for symmetric P."""
+    """P + s v v' for v `(i, *n)` and s `()` or `(n,)`, negative to take away; symmetric up to one rounding for symmetric P."""
     return _mirrored(add(p, v[:, None] * v[None, :] * scale))
 
 
