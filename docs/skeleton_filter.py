@@ -9,10 +9,10 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_state_space, weigh
+from motes.filters.interface import Info, TwoStageFilter, as_state_space, evolve, reweigh
 from motes.laws.cloud import Cloud
 from motes.models.state_space import StateSpaceModel
-from motes.resampling.policy import Always, resample
+from motes.resampling.policy import Always
 from motes.resampling.schemes import Systematic
 
 
@@ -39,12 +39,17 @@ class SkeletonFilter(TwoStageFilter):
         return Cloud.equal(model.initial.sample(key, self.n))
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
-        """Resample at the start, then move to time t; noise is drawn as one block."""
-        cloud = resample(random.child(key, random.RESAMPLE), Systematic(), Always(), state)
-        return replace(cloud, particles=model.dynamics.sample(random.child(key, random.NOISE), cloud.particles, u, t))
+        """Resample at the start, then move each particle to time t; noise is drawn as one block."""
+
+        def move(noise_key: jax.Array, cloud: Cloud) -> Cloud:
+            return replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
+
+        return evolve((random.child(key, random.RESAMPLE), random.child(key, random.NOISE)), Systematic(), Always(), state, move)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Take in y; missing components, collapse and its policy are seen to by `weigh` and the base class."""
-        likelihood = model.sensor.log_prob(y, state.particles, u, t)
-        weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
-        return replace(state, log_weights=weights), info
+        """Take in y; missing components, collapse and its policy are seen to by `reweigh` and the base class."""
+
+        def judge(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
+            return cloud, model.sensor.log_prob(y, cloud.particles, u, t), model.sensor.ceiling(y, cloud.particles, u, t)
+
+        return reweigh(state, judge)

@@ -6,6 +6,7 @@ on how they are shared out over devices. This is the only file that derives keys
 """
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -42,6 +43,16 @@ def as_key(key: KeyLike) -> jax.Array:
     if isinstance(key, (jax.Array, np.ndarray)) and key.dtype == np.uint32 and key.shape[-1:] == (2,):
         return jax.random.wrap_key_data(jnp.asarray(key), impl="threefry2x32")
     refuse("key", "a JAX key or an integer seed", repr(type(key).__name__))
+
+
+def key_or_data(key: KeyLike) -> Any:
+    """Return a key as `as_key` does, or of a plain seed its data `(2,)`: half the work of a short run would be to ask JAX for the key.
+
+    Raises:
+        MotesError: see `as_key`, which takes both.
+    """
+    plain = isinstance(key, (int, np.integer)) and not isinstance(key, bool) and 0 <= key < 2**31
+    return np.array([0, key], np.uint32) if plain else as_key(key)
 
 
 def step_key(key: jax.Array, step: jax.Array | int) -> jax.Array:

@@ -51,7 +51,7 @@ def run(
         MotesError: measurements, inputs, filter and model do not fit each other.
         CollapseError: all weights vanished and the filter's `on_collapse` is "raise" (outside jit only).
     """
-    key = random.as_key(key)
+    key = random.key_or_data(key)
     if not isinstance(filter, Filter):
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
     ys = checked_measurements(filter, model, ys, inputs)
@@ -85,7 +85,7 @@ def run_in_chunks(
 @partial(jax.jit, static_argnames=("keep",))
 def _run(key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
     with report.collected() as notes:
-        return replace(_scanned(Engine(key, filter, model), ys, inputs, keep, first), engine=report.summary(notes))
+        return replace(_scanned(Engine(random.as_key(key), filter, model), ys, inputs, keep, first), engine=report.summary(notes))
 
 
 def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
@@ -176,7 +176,7 @@ def _apart(tree: Any) -> Any:
     return jax.lax.optimization_barrier(tree)
 
 
-def checked_measurements(filter: Filter, model: Any, ys: Any, inputs: Inputs) -> jax.Array:
+def checked_measurements(filter: Filter, model: Any, ys: Any, inputs: Inputs) -> Any:
     """Return the measurements in the model's type, or refuse what does not fit; see `run`."""
     if not isinstance(model, (StateSpaceModel, MixedLinearModel)):
         as_state_space("run", model)
@@ -188,7 +188,7 @@ def checked_measurements(filter: Filter, model: Any, ys: Any, inputs: Inputs) ->
         if np.isinf(array).any():
             where = np.argwhere(np.isinf(array))[0].tolist()
             checks.refuse("ys", "finite numbers, or NaN for what was not measured", f"{array[tuple(where)]} at index {where}")
-    ys = jnp.asarray(ys, dtype)
+    ys = np.asarray(ys, dtype) if isinstance(ys, np.ndarray) else jnp.asarray(ys, dtype)
     if ys.ndim != 2 or ys.shape[0] == 0:
         hint = "Write ys[:, None] for one measured component." if ys.ndim == 1 else ""
         checks.refuse("ys", "shape (t, y) with at least one step", f"shape {ys.shape}", hint)
