@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 BENCH := .venv-bench
 
-.PHONY: setup demo test lint bench clean
+.PHONY: setup demo test test-native lint bench clean
 
 setup: $(STAMP)
 
@@ -24,6 +24,10 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	@$(BIN)/python -m pytest -n 2
+
+# the tests that run filters, once more with the native engine
+test-native: $(STAMP)
+	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 tests/contract tests/filters tests/oracles tests/applications tests/laws tests/resampling
 
 lint: $(STAMP)
 	@$(BIN)/ruff check .

@@ -2,7 +2,8 @@
 
     python benchmarks/run.py [--quick] [--case NAME] [--out FOLDER]
 
-A quick run, or one of a single case, writes to out/bench unless told otherwise, so that it does not replace the figures of a whole one.
+A quick run, or one of a single case, writes to out/bench unless told otherwise, so that it does not replace the figures of a whole one;
+with --out benchmarks a single case replaces its own figures there.
 """
 
 import argparse
@@ -124,7 +125,10 @@ def main():
     found = installed()
     python, today = places(found), str(datetime.date.today())
     head = {"machine": machine(), "versions": versions(found), "date": today, "quick": asked.quick}
-    records = []
+    records, path = [], out / "results.json"
+    if asked.case and path.exists():
+        # ratios are formed within a case, so that one case may be measured again by itself
+        records = [record for record in json.loads(path.read_text())["records"] if record["case"] != asked.case]
     with tempfile.TemporaryDirectory() as folder:
         for name in [asked.case] if asked.case else CASES:
             rows = CASES[name](asked.quick)
@@ -133,7 +137,7 @@ def main():
             else:
                 records += measure(name, rows, python, Path(folder), asked.quick)
             results = head | {"records": records}
-            (out / "results.json").write_text(json.dumps(results, indent=1))
+            path.write_text(json.dumps(results, indent=1))
     (out / "RESULTS.md").write_text(text(results))
     figure.draw(results, out / "results.png")
     progress(f"wrote {out}/RESULTS.md")
