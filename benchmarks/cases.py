@@ -91,8 +91,8 @@ def scaling(quick):
     """Cost against the number of particles, and of steps."""
     engines = (*OURS, "particles")
     sizes = (10_000, 30_000) if quick else (10_000, 30_000, 100_000, 300_000, 1_000_000)
-    lengths = (10, 30) if quick else (10, 100, 1_000)
-    return [Row("bootstrap", "radar", n, 100, engines) for n in sizes] + [Row("bootstrap", "radar", 20_000, t, engines) for t in lengths]
+    lengths = (10, 30) if quick else (100, 1_000, 10_000)
+    return [Row("bootstrap", "radar", n, 100, engines) for n in sizes] + [Row("bootstrap", "radar", 20_000, t, OURS) for t in lengths]
 
 
 def blocks(quick):

@@ -46,4 +46,4 @@ TARGETS = (
     ),
 )
 SLOPE = (0.9, 1.1)
-"""Exponent of time against particles (1e4 to 1e6) and against steps (10 to 1 000)."""
+"""Exponent of time against particles (1e4 to 1e6) and against steps (100 to 10 000)."""

@@ -107,6 +107,7 @@ def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first:
 
 def canonical_parts(filter: Filter, model: Any, u: Inputs, y: Any) -> tuple[Filter, Any]:
     """Return filter and model such that code compiled for equal ones is used again; u and y are one step's, or their shapes."""
+    u, y = jax.tree.map(shape_of, (u, y))
     model = canonical(model, u, y)
     x = jax.ShapeDtypeStruct((model.size,), model.dtype)
     # a conditional among the knobs is a proposal: its functions see the pair of inputs and measurement
