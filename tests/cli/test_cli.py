@@ -19,13 +19,11 @@ COMMAND = "import sys; from motes.cli.main import main; sys.exit(main())"
 def demo(tmp_path_factory):
     """A small demonstration, flown once; compiled programs are kept apart from the user's own."""
     home = tmp_path_factory.mktemp("home")
-    before = os.environ.get("XDG_CACHE_HOME")
-    os.environ["XDG_CACHE_HOME"] = str(home / "cache")
-    try:
+    with pytest.MonkeyPatch.context() as surroundings:
+        surroundings.setenv("XDG_CACHE_HOME", str(home / "cache"))
+        surroundings.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
         assert main(["demo", "terrain", "--n", "150", "--out", str(home / "out")]) == 0
         yield home / "out"
-    finally:
-        os.environ.pop("XDG_CACHE_HOME") if before is None else os.environ.update(XDG_CACHE_HOME=before)
 
 
 @pytest.fixture
