@@ -249,7 +249,7 @@ def _scores(keys, scenario):
 
 @pytest.mark.parametrize(("odometry", "rms"), [("recorded", 0.45), ("drifting", 0.85)])
 def test_recorded_run(odometry, rms):
-    """With 300 particles: over 12 seeds the drifting run has a mean of 0.60 m and a spread of 0.13 m; `benchmarks/accuracy.py` takes 1 000."""
+    """With 300 particles; over 12 seeds the drifting run has a mean of 0.60 m and a spread of 0.13 m (benchmarks/accuracy.py: 1 000)."""
     scenario = job.load(recorded("robot/Plaza1_.mat"), odometry)
     assert scenario.ys.shape == (13186, 4) and (~np.isnan(scenario.ys)).sum() == 3458
     found = _scores(jax.random.split(jax.random.key(2), 3), scenario)
