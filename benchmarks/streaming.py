@@ -11,7 +11,7 @@ import time
 
 import jax
 import numpy as np
-from run import radar_model
+from peers.ours import radar_model
 
 import motes as mo
 

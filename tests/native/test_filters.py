@@ -50,10 +50,10 @@ YS[7] = np.nan
 FILTERS = {"bootstrap": mo.ParticleFilter, "marginalized": mo.MarginalizedParticleFilter}
 
 
-def runs(filter, model, ys=YS, **options):
-    one = mo.run(5, filter, model, ys, **options)
+def runs(filter, model, ys=YS, key=5, **options):
+    one = mo.run(key, filter, model, ys, **options)
     with mo.engine("native"):
-        return one, mo.run(5, filter, model, ys, **options)
+        return one, mo.run(key, filter, model, ys, **options)
 
 
 @needs_compiler
@@ -79,8 +79,11 @@ def test_results_of_jax_without_resampling(kind, name):
 def test_likelihood_of_jax_with_resampling(kind, policy):
     """After resampling a rounding here and there gives another ancestor: results agree within Monte Carlo error, at first to rounding."""
     filter = FILTERS[kind](n=20_000, policy=policy)
-    wanted, ours = runs(filter, RADAR)
-    assert np.abs(ours.log_evidence - wanted.log_evidence).max() < 0.1
+    pairs = [runs(filter, RADAR, key=key) for key in range(8)]
+    # the log likelihood of a step spreads by at most 0.09 (bootstrap) and 0.037 (marginalized): 5.5 times that of a difference of means
+    limit = {"bootstrap": 0.25, "marginalized": 0.1}[kind]
+    assert np.abs(np.mean([ours.log_evidence - wanted.log_evidence for wanted, ours in pairs], axis=0)).max() < limit
+    wanted, ours = pairs[0]
     assert np.allclose(ours.ess, wanted.ess, rtol=0.3) and np.allclose(ours.ess[:2], wanted.ess[:2], rtol=2e-3)
     assert np.abs(ours.mean[0] - wanted.mean[0]).max() < 1e-3
 

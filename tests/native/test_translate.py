@@ -87,7 +87,7 @@ def natively_traced(function, X):
     from motes.native.stage import call_move, movement
 
     stage = movement(function, [jnp.asarray(X)])
-    return call_move(stage, stage.words, stage.tables, jnp.arange(X.shape[1], dtype=jnp.int32), [jnp.asarray(X)])[0]
+    return call_move(stage, stage.words, jnp.arange(X.shape[1], dtype=jnp.int32), [jnp.asarray(X)])[0]
 
 
 ACROSS = {

@@ -46,7 +46,7 @@ def as_key(key: KeyLike) -> jax.Array:
 
 
 def key_or_data(key: KeyLike) -> Any:
-    """Return a key as `as_key` does, or of a plain seed its data `(2,)`: half the work of a short run would be to ask JAX for the key.
+    """Return a key as `as_key` does, or of a plain seed its data `(2,)`, which costs a short run less than to ask JAX for the key.
 
     Raises:
         MotesError: see `as_key`, which takes both.
@@ -96,9 +96,6 @@ def normal(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Arra
 def _normal_numbers(key: jax.Array, rows: int, n: int) -> jax.Array:
     # a jitted function keeps its name in traced programs, where the native engine looks for it
     return normal_block(key, rows, n)
-
-
-NORMAL = "_normal_numbers"
 
 
 @engine.replaceable
@@ -161,7 +158,7 @@ def _uniform_numbers(key: jax.Array, rows: int, n: int, dtype: jnp.dtype) -> jax
     return (first >> 8).astype(jnp.float32) * np.float32(2.0**-24)
 
 
-UNIFORM = "_uniform_numbers"
+NORMAL, UNIFORM = "_normal_numbers", "_uniform_numbers"
 """Names under which blocks of random numbers stand in traced programs."""
 
 

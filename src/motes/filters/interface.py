@@ -167,8 +167,7 @@ class Filter(ABC):
         state = jax.tree.map(lambda old, new: jnp.where(refused, old, new), fallback, after)
         silent = {name: jnp.where(missing, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest")}
         if hasattr(before, "log_weights"):
-            old = logspace.effective_size
-            silent["ess"] = jax.lax.cond(refused, lambda weights, ess: old(weights), lambda weights, ess: ess, before.log_weights, info.ess)
+            silent["ess"] = jax.lax.cond(refused, lambda: logspace.effective_size(before.log_weights), lambda: info.ess)
         return state, replace(info, collapsed=info.collapsed & ~missing, **silent)
 
 

@@ -14,6 +14,9 @@ from motes.native.compile import HEADERS, CompileError, kernel
 from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
 from motes.resampling.schemes import Scheme, Systematic
 
+FEWEST = 256
+"""With fewer particles JAX is as fast."""
+
 MOST_ROWS = 32
 """States that the kernel of moments has room for."""
 
@@ -53,7 +56,7 @@ def differentiable(native: Callable[..., Any], pure: Callable[..., Any]) -> Call
 
 def normal_block(key: jax.Array, rows: int, n: int) -> jax.Array | None:
     """See `random.normal_block`."""
-    if not rows or n < 1024 or not usable():
+    if not rows or n < FEWEST or not usable():
         return None
     return _call("normal_block", jax.ShapeDtypeStruct((rows, n), jnp.float32), key)
 
@@ -61,7 +64,7 @@ def normal_block(key: jax.Array, rows: int, n: int) -> jax.Array | None:
 def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """See `cloud.weighted_moments`."""
     size = sum(part.shape[0] for part in parts)
-    if not 0 < size <= MOST_ROWS or log_weights.shape[0] < 256 or not usable(log_weights, *parts):
+    if not 0 < size <= MOST_ROWS or log_weights.shape[0] < FEWEST or not usable(log_weights, *parts):
         return None
     full = [part for part in parts if part.shape[0]]
     shapes = (jax.ShapeDtypeStruct((size,), jnp.float32), jax.ShapeDtypeStruct((size, size), jnp.float32))
@@ -100,11 +103,14 @@ def resample(key: jax.Array, scheme: Scheme, policy: Policy, law: Any) -> Any:
 
 def joint_weights(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """See `logspace.joint_weights`."""
-    if log_weights.shape[0] < 256 or not usable(log_weights, log_likelihood):
+    if log_weights.shape[0] < FEWEST or not usable(log_weights, log_likelihood):
         return None
     shapes = (jax.ShapeDtypeStruct(log_weights.shape, jnp.float32), jax.ShapeDtypeStruct((6,), jnp.float32))
     ceiling = jnp.broadcast_to(ceiling, log_likelihood.shape).astype(jnp.float32)
-    native = lambda *given: tuple(_call("weigh", shapes, *given))  # noqa: E731
+
+    def native(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return tuple(_call("weigh", shapes, log_likelihood, log_weights, ceiling))
+
     return differentiable(native, engine.original(logspace.joint_weights))(log_weights, log_likelihood, ceiling)
 
 

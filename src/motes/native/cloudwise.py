@@ -10,9 +10,10 @@ from jax.core import eval_jaxpr
 from motes.core import engine, logspace
 from motes.core.record import replace
 from motes.native import blocks, report
+from motes.native.blocks import FEWEST
 from motes.native.compile import CompileError
 from motes.native.rules import Untranslatable
-from motes.native.stage import FEWEST, Stage, call_move, call_weigh, judgement, movement
+from motes.native.stage import Stage, call_move, call_weigh, judgement, movement
 from motes.native.translate import traced
 from motes.resampling.policy import Policy
 from motes.resampling.schemes import Scheme
@@ -34,6 +35,7 @@ class Parts:
         self.leaves = leaves
         self.lanes = [leaves[i] for i in self.places]
         self.weights = [i for i, leaf in enumerate(leaves) if id(leaf) in own]
+        self.rest = [i for i in range(len(leaves)) if i not in self.places and i not in self.weights]
 
     def cloud(self, lanes: Sequence[jax.Array]) -> Any:
         """Put a cloud of any number of particles together; nothing may look at its weights."""
@@ -46,14 +48,12 @@ class Parts:
     def apart(self, cloud: Any) -> list[jax.Array]:
         """Return the arrays with the particle axis first, then the rest without the weights."""
         leaves = jax.tree.leaves(cloud)
-        rest = [leaf for i, leaf in enumerate(leaves) if i not in self.places and i not in self.weights]
-        return [leaves[i] for i in self.places] + rest
+        return [leaves[i] for i in [*self.places, *self.rest]]
 
     def together(self, cloud: Any, arrays: Sequence[jax.Array]) -> Any:
         """Undo `apart`, with weights and ancestors of a cloud."""
         leaves = jax.tree.leaves(cloud)
-        rest = [i for i in range(len(leaves)) if i not in self.places and i not in self.weights]
-        for i, array in zip([*self.places, *rest], arrays, strict=True):
+        for i, array in zip([*self.places, *self.rest], arrays, strict=True):
             leaves[i] = array
         return jax.tree.unflatten(self.tree, leaves)
 
@@ -61,9 +61,11 @@ class Parts:
 def evolve(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, cloud: Any, move: Callable[[Any, Any], Any]) -> Any:
     """Resample where the policy says so and move, fused; None where that cannot be. See `filters.interface.evolve`."""
     parts = _parts("move", cloud)
-    chosen = blocks.ancestors(keys[0], scheme, policy, cloud.log_weights) if parts else None
-    if parts is None or chosen is None:
-        return report.note("move", report.KERNELS, f"{type(scheme).__name__} resampling") if parts else None
+    if parts is None:
+        return None
+    chosen = blocks.ancestors(keys[0], scheme, policy, cloud.log_weights)
+    if chosen is None:
+        return report.note("move", report.KERNELS, f"{type(scheme).__name__} resampling")
     ancestors, log_weights = chosen
 
     def function(*lanes: jax.Array) -> list[jax.Array]:
@@ -74,13 +76,13 @@ def evolve(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, cloud: Any, mo
         return None
     program = traced(function, parts.lanes, log_weights.shape[0])
 
-    def native(words: Any, tables: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
-        return call_move(stage, words, tables, ancestors, lanes)
+    def native(words: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
+        return call_move(stage, words, ancestors, lanes)
 
-    def pure(words: Any, tables: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
+    def pure(words: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
         return eval_jaxpr(program.jaxpr, consts, *(lane[..., ancestors] for lane in lanes))[: len(lanes)]
 
-    moved = blocks.differentiable(native, pure)(stage.words, stage.tables, ancestors, parts.lanes, program.consts)
+    moved = blocks.differentiable(native, pure)(stage.words, ancestors, parts.lanes, program.consts)
     return replace(parts.together(cloud, [*moved, *stage.rest]), ancestors=ancestors, log_weights=log_weights)
 
 
@@ -99,14 +101,14 @@ def reweigh(cloud: Any, judge: Callable[[Any], tuple[Any, jax.Array, jax.Array]]
         return None
     program = traced(function, parts.lanes, cloud.log_weights.shape[0])
 
-    def native(words: Any, tables: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
-        return call_weigh(stage, words, tables, log_weights, lanes)
+    def native(words: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
+        return call_weigh(stage, words, log_weights, lanes)
 
-    def pure(words: Any, tables: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
+    def pure(words: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
         likelihood, ceiling, *outs = eval_jaxpr(program.jaxpr, consts, *lanes)
         return *engine.original(logspace.joint_weights)(log_weights, likelihood, ceiling), outs[: len(lanes)]
 
-    given = (stage.words, stage.tables, cloud.log_weights, parts.lanes, program.consts)
+    given = (stage.words, cloud.log_weights, parts.lanes, program.consts)
     weights, found, lanes = blocks.differentiable(native, pure)(*given)
     return replace(parts.together(cloud, [*lanes, *stage.rest]), log_weights=weights), found
 

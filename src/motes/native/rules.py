@@ -61,7 +61,7 @@ FORMULAS = {
     "add": "{0} + {1}", "add_any": "{0} + {1}", "sub": "{0} - {1}", "mul": "{0} * {1}", "neg": "-{0}", "square": "{0} * {0}",
     "max": "({0} > {1} || {0} != {0}) ? {0} : {1}", "min": "({0} < {1} || {0} != {0}) ? {0} : {1}",
     "eq": "{0} == {1}", "ne": "{0} != {1}", "lt": "{0} < {1}", "le": "{0} <= {1}", "gt": "{0} > {1}", "ge": "{0} >= {1}",
-    "and": "{0} & {1}", "or": "{0} | {1}", "xor": "{0} ^ {1}", "copy": "{0}", "copy_p": "{0}", "stop_gradient": "{0}",
+    "and": "{0} & {1}", "or": "{0} | {1}", "xor": "{0} ^ {1}", "copy": "{0}", "stop_gradient": "{0}",
     "clamp": "{1} < {0} ? {0} : ({1} > {2} ? {2} : {1})",
 }  # fmt: skip
 FLOAT_FORMULAS = {
@@ -117,8 +117,8 @@ def _whole_power(power: int) -> str:
 
 
 MOVES: dict[str, Callable[[int], bool]] = {
-    **dict.fromkeys(("reshape", "broadcast_in_dim", "squeeze", "transpose", "rev", "slice", "concatenate", "stack", "pad", "split",
-                     "expand_dims"), lambda i: False),
+    **dict.fromkeys(("reshape", "broadcast_in_dim", "squeeze", "transpose", "rev", "slice", "concatenate", "stack", "pad",
+                     "split"), lambda i: False),
     "gather": lambda i: i == 1,
     "scatter": lambda i: i == 1,
     "dynamic_slice": lambda i: i >= 1,

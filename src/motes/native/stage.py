@@ -1,5 +1,6 @@
 """A stage of a filter as one native kernel: the traced functions of the model, fused with random numbers, gathering and weighing."""
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -11,9 +12,6 @@ from motes.native import lanes
 from motes.native.compile import kernel
 from motes.native.translate import Translator, Untranslatable, is_lane, traced
 
-FEWEST = 256
-"""With fewer particles JAX is as fast."""
-
 Function = Callable[..., Any]
 
 
@@ -23,7 +21,6 @@ class Stage(NamedTuple):
     Attributes:
         kernel: name by which XLA calls it.
         words: numbers that all particles share, `(p,)`, as 32-bit words.
-        tables: arrays that are looked up.
         changed: for each array with the particle axis, whether the kernel works it out; it is left as it was otherwise.
         rest: what the stage returns without the particle axis, worked out by JAX.
         size: number of scalar operations.
@@ -31,7 +28,6 @@ class Stage(NamedTuple):
 
     kernel: str
     words: jax.Array
-    tables: list[jax.Array]
     changed: list[bool]
     rest: list[Any]
     size: int
@@ -98,7 +94,7 @@ def _compiled(kind: str, translator: Translator, leaves: Sequence[jax.Array], ou
     elif not shapes:
         raise Untranslatable("dynamics that move nothing")
     source = _source(kind, translator, [(_rows(leaf), leaf.ndim) for leaf in leaves], shapes, assignments)
-    return Stage(kernel(source, kind), translator.words(), translator.tables, changed, rest, len(translator.statements))
+    return Stage(kernel(source, kind), translator.words(), changed, rest, len(translator.statements))
 
 
 def _rows(leaf: Any) -> int:
@@ -109,11 +105,11 @@ def _source(kind: str, translator: Translator, leaves: list[tuple[int, int]], ou
     """Put the C++ together; `cpp/stage.hpp` says what each name is for."""
     count, made = sum(rows for rows, _ in leaves), sum(rows for rows, _ in outs)
     text = "\n      ".join([*translator.statements, *assignments])
-    used = {f"x{j}" for j in range(count) if f"x{j}" in _words(text)}
-    loads = [f"const float* __restrict r{j} = rows.in[{j}];" for j in range(count) if f"x{j}" in used]
+    words = set(re.findall(r"\w+", text))
+    used = [j for j in range(count) if f"x{j}" in words]
+    loads = [f"const float* __restrict r{j} = rows.in[{j}];" for j in used]
     loads += [f"float* __restrict y{j} = rows.out[{j}] + first;" for j in range(made)]
-    loads += [f"const float* __restrict t{k} = rows.tables[{k}];" for k in range(len(translator.tables))]
-    gathers = [f"const float x{j} = r{j}[a];" for j in range(count) if f"x{j}" in used]
+    gathers = [f"const float x{j} = r{j}[a];" for j in used]
     numbers = translator.declarations()
     draws = "\n    ".join([*numbers, *translator.draws])
     constants = "\n    ".join([*numbers, *loads])
@@ -125,7 +121,7 @@ def _source(kind: str, translator: Translator, leaves: list[tuple[int, int]], ou
 using namespace motes;
 struct Model {{
   static constexpr int LEAVES = {len(leaves)}, OUTS = {len(outs)}, IN_ROWS = {count}, OUT_ROWS_ALL = {made};
-  static constexpr int TABLES = {len(translator.tables)}, NOISE = {translator.rows};
+  static constexpr int NOISE = {translator.rows};
   {arrays}
   static void draw(const uint32_t* P, uint32_t begin, float (*noise)[BLOCK]) {{
     {draws}
@@ -146,24 +142,20 @@ MOTES_KERNEL({kind}, run)
 """
 
 
-def _words(text: str) -> set[str]:
-    return set("".join(c if c.isalnum() or c == "_" else " " for c in text).split())
-
-
-def call_move(stage: Stage, words: jax.Array, tables: Any, ancestors: jax.Array, leaves: Sequence[jax.Array]) -> list[jax.Array]:
+def call_move(stage: Stage, words: jax.Array, ancestors: jax.Array, leaves: Sequence[jax.Array]) -> list[jax.Array]:
     """Return the arrays of the chosen ancestors, moved."""
     made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
-    results = list(_call(stage.kernel, made, words, ancestors, *leaves, *tables))
+    results = list(_call(stage.kernel, made, words, ancestors, *leaves))
     return [results.pop(0) if changed else leaf[..., ancestors] for leaf, changed in zip(leaves, stage.changed, strict=True)]
 
 
 def call_weigh(
-    stage: Stage, words: jax.Array, tables: Any, log_weights: jax.Array, leaves: Sequence[jax.Array]
+    stage: Stage, words: jax.Array, log_weights: jax.Array, leaves: Sequence[jax.Array]
 ) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
     """Return normalized log weights `(n,)`, the judgement `(6,)` (see `logspace.joint_weights`) and the arrays, corrected."""
     made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
     judged = jax.ShapeDtypeStruct((6,), jnp.float32)
-    weights, found, *results = _call(stage.kernel, [log_weights, judged, *made], words, log_weights, *leaves, *tables)
+    weights, found, *results = _call(stage.kernel, [log_weights, judged, *made], words, log_weights, *leaves)
     return weights, found, [results.pop(0) if changed else leaf for leaf, changed in zip(leaves, stage.changed, strict=True)]
 
 

@@ -19,8 +19,7 @@ from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formul
 MOST_STATEMENTS = 6_000
 """Longer programs take compilers minutes."""
 
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr", "remat2": "jaxpr", "checkpoint": "jaxpr",
-         "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "custom_jvp_call_jaxpr": "fun_jaxpr"}  # fmt: skip
+CALLS = {"jit": "jaxpr", "closed_call": "call_jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
 """Operations that are a program of their own, and where they keep it."""
 
 BLOCKS = {random.NORMAL: "normals", random.UNIFORM: "uniforms"}
@@ -37,7 +36,7 @@ def inner(eqn: Any) -> tuple[Any, Sequence[Any]] | None:
 
 def block_of(eqn: Any) -> str | None:
     """Return which random numbers an operation draws, or None."""
-    return BLOCKS.get(eqn.params.get("name", "")) if eqn.primitive.name in ("jit", "pjit") else None
+    return BLOCKS.get(eqn.params.get("name", "")) if eqn.primitive.name == "jit" else None
 
 
 class Translator:
@@ -50,14 +49,12 @@ class Translator:
         parameters: values that JAX works out, `()` or of any shape, in the order in which the kernel gets them.
         draws: C++ calls that fill the rows of random numbers.
         rows: number of rows of random numbers.
-        tables: large arrays that are looked up by the particle.
     """
 
     def __init__(self) -> None:
         """Start with nothing."""
         self.statements: list[str] = []
         self.parameters: list[Any] = []
-        self.tables: list[Any] = []
         self.draws: list[str] = []
         self.rows = 0
         self._count = 0

@@ -34,24 +34,12 @@ static void ancestors(const Frame& frame, const Team& team) {
 }
 MOTES_KERNEL(motes_ancestors, ancestors)
 
-// args: log weights `(n)`, log likelihoods `(n)`, their ceilings `(n)`; rets: log weights `(n)`, judgement `(6)`
+// args: log likelihoods `(n)`, log weights `(n)`, ceilings of the likelihoods `(n)`; rets: log weights `(n)`, judgement `(6)`
 static void weigh(const Frame& frame, const Team& team) {
-  Operand out = frame.ret(0);
-  Batch batch(out, 1);
-  int64_t n = out.dims[out.rank - 1], blocks = blocks_of(n);
-  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
-    const float* before = batch.of<const float>(frame.arg(0), run);
-    const float* likelihood = batch.of<const float>(frame.arg(1), run);
+  weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t) {
+    const float* likelihood = batch.of<const float>(frame.arg(0), run);
     const float* ceiling = batch.of<const float>(frame.arg(2), run);
-    float* joint = batch.of<float>(out, run);
-    Scratch memory(sizeof(Tally) * blocks);
-    Tally* tallies = memory.as<Tally>();
-    own.each(blocks, ALONE, [=](int64_t b) {
-      int64_t at = b * BLOCK;
-      tallies[b] = tally(before + at, likelihood + at, ceiling + at, joint + at, length_of(b, n));
-    });
-    Judgement found = judge(tallies, blocks, batch.of<float>(frame.ret(1), run));
-    own.each(blocks, 4 * ALONE, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); });
+    return [=](int64_t b, float*, float*) { return Seen{likelihood + b * BLOCK, ceiling + b * BLOCK}; };
   });
 }
 MOTES_KERNEL(motes_weigh, weigh)

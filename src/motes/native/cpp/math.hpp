@@ -19,6 +19,12 @@ static inline __attribute__((always_inline)) To bits(From from) {
 
 static inline __attribute__((always_inline)) float fma(float a, float b, float c) { return MOTES_FMA(a, b, c); }
 
+// coefficients from the highest power down
+template <class... Rest>
+static inline __attribute__((always_inline)) float polynomial(float x, float value, Rest... coefficients) {
+  return ((value = fma(value, x, coefficients)), ...);
+}
+
 constexpr float INF = __builtin_inff();
 constexpr float NOT_A_NUMBER = __builtin_nanf("");
 
@@ -44,10 +50,7 @@ static inline __attribute__((always_inline)) float scaled(float value, int32_t t
 static inline __attribute__((always_inline)) float exp(float x) {
   float inside = x > 89.f ? 89.f : (x < -104.f ? -104.f : x);
   Reduced r = reduce_exp(inside);
-  float p = fma(0.00138141913f, r.rest, 0.00836891402f);
-  p = fma(p, r.rest, 0.0416684076f);
-  p = fma(p, r.rest, 0.166665196f);
-  p = fma(p, r.rest, 0.49999994f);
+  float p = polynomial(r.rest, 0.00138141913f, 0.00836891402f, 0.0416684076f, 0.166665196f, 0.49999994f);
   float value = scaled(fma(p, r.rest * r.rest, r.rest) + 1.f, r.twos);
   return x > 88.7228394f ? INF : (x < -103.972084f ? 0.f : value);
 }
@@ -55,12 +58,8 @@ static inline __attribute__((always_inline)) float exp(float x) {
 static inline __attribute__((always_inline)) float expm1(float x) {
   float inside = x > 89.f ? 89.f : (x < -30.f ? -30.f : x);
   Reduced r = reduce_exp(inside);
-  float p = fma(2.48094457e-05f, r.rest, 0.000199045782f);
-  p = fma(p, r.rest, 0.00138889474f);
-  p = fma(p, r.rest, 0.00833329f);
-  p = fma(p, r.rest, 0.0416666679f);
-  p = fma(p, r.rest, 0.166666672f);
-  float small = fma(fma(p, r.rest, 0.5f), r.rest * r.rest, r.rest);
+  float p = polynomial(r.rest, 2.48094457e-05f, 0.000199045782f, 0.00138889474f, 0.00833329f, 0.0416666679f, 0.166666672f, 0.5f);
+  float small = fma(p, r.rest * r.rest, r.rest);
   float half = power_of_two(r.twos - 1);  // 2^twos itself may overflow
   float value = 2.f * fma(half, small, half - 0.5f);
   return x > 88.7228394f ? INF : (x != x ? x : value);
@@ -68,14 +67,8 @@ static inline __attribute__((always_inline)) float expm1(float x) {
 
 // log of (1 + rest) 2^twos, and of that plus a correction much smaller than 1
 static inline __attribute__((always_inline)) float log_reduced(float rest, float twos, float correction) {
-  float p = fma(0.0674664378f, rest, -0.116756566f);
-  p = fma(p, rest, 0.118881635f);
-  p = fma(p, rest, -0.124055885f);
-  p = fma(p, rest, 0.142195523f);
-  p = fma(p, rest, -0.166679963f);
-  p = fma(p, rest, 0.200021192f);
-  p = fma(p, rest, -0.250000089f);
-  p = fma(p, rest, 0.333333135f);
+  float p = polynomial(rest, 0.0674664378f, -0.116756566f, 0.118881635f, -0.124055885f, 0.142195523f, -0.166679963f, 0.200021192f,
+                       -0.250000089f, 0.333333135f);
   float square = rest * rest;
   float low = fma(rest * square, p, fma(twos, 1.42860677e-06f, correction));
   return fma(twos, 0.693145752f, fma(-0.5f, square, low) + rest);
@@ -114,13 +107,13 @@ static inline __attribute__((always_inline)) Turned quarters(float x) {
 
 static inline __attribute__((always_inline)) float sine_core(float x) {
   float s = x * x;
-  float p = fma(fma(fma(2.71802583e-06f, s, -0.000198393027f), s, 0.00833332911f), s, -0.166666672f);
+  float p = polynomial(s, 2.71802583e-06f, -0.000198393027f, 0.00833332911f, -0.166666672f);
   return fma(p * s, x, x);
 }
 
 static inline __attribute__((always_inline)) float cosine_core(float x) {
   float s = x * x;
-  float p = fma(fma(fma(-2.72048538e-07f, s, 2.47994485e-05f), s, -0.00138888834f), s, 0.0416666679f);
+  float p = polynomial(s, -2.72048538e-07f, 2.47994485e-05f, -0.00138888834f, 0.0416666679f);
   return fma(p, s * s, fma(-0.5f, s, 1.f));
 }
 
@@ -145,14 +138,8 @@ static inline __attribute__((always_inline)) float tan(float x) {
 // arctan on [0, 1]
 static inline __attribute__((always_inline)) float atan_core(float x) {
   float s = x * x;
-  float p = fma(-0.00179362041f, s, 0.0109146005f);
-  p = fma(p, s, -0.0311778374f);
-  p = fma(p, s, 0.0579575859f);
-  p = fma(p, s, -0.0840345025f);
-  p = fma(p, s, 0.109521858f);
-  p = fma(p, s, -0.142642424f);
-  p = fma(p, s, 0.199985489f);
-  p = fma(p, s, -0.333332986f);
+  float p = polynomial(s, -0.00179362041f, 0.0109146005f, -0.0311778374f, 0.0579575859f, -0.0840345025f, 0.109521858f, -0.142642424f,
+                       0.199985489f, -0.333332986f);
   return fma(p * s, x, x);
 }
 
@@ -174,10 +161,7 @@ static inline __attribute__((always_inline)) float asin(float x) {
   bool outer = size > 0.5f;
   float s = outer ? 0.5f * (1.f - size) : size * size;
   float root = outer ? __builtin_sqrtf(s) : size;
-  float p = fma(0.0421663299f, s, 0.0241795015f);
-  p = fma(p, s, 0.0454703793f);
-  p = fma(p, s, 0.0749529749f);
-  p = fma(p, s, 0.166667521f);
+  float p = polynomial(s, 0.0421663299f, 0.0241795015f, 0.0454703793f, 0.0749529749f, 0.166667521f);
   float inner = fma(p * s, root, root);
   return __builtin_copysignf(outer ? 1.57079637f - 2.f * inner : inner, x);
 }
@@ -191,10 +175,7 @@ static inline __attribute__((always_inline)) float acos(float x) {
 
 static inline __attribute__((always_inline)) float tanh(float x) {
   float s = x * x;
-  float p = fma(-0.005704985f, s, 0.0206390861f);
-  p = fma(p, s, -0.0537397154f);
-  p = fma(p, s, 0.133314416f);
-  p = fma(p, s, -0.333332807f);
+  float p = polynomial(s, -0.005704985f, 0.0206390861f, -0.0537397154f, 0.133314416f, -0.333332807f);
   float inner = fma(p * s, x, x);
   float size = __builtin_fabsf(x);
   float outer = __builtin_copysignf(1.f - 2.f / (exp(2.f * size) + 1.f), x);
@@ -203,7 +184,7 @@ static inline __attribute__((always_inline)) float tanh(float x) {
 
 static inline __attribute__((always_inline)) float sinh(float x) {
   float s = x * x;
-  float p = fma(fma(fma(2.81695134e-06f, s, 0.000198361595f), s, 0.0083333496f), s, 0.166666672f);
+  float p = polynomial(s, 2.81695134e-06f, 0.000198361595f, 0.0083333496f, 0.166666672f);
   float inner = fma(p * s, x, x);
   float half = exp(0.5f * __builtin_fabsf(x));  // the square may be the first to overflow
   float outer = __builtin_copysignf(half * (0.5f * half) - 0.5f / half / half, x);
@@ -234,20 +215,18 @@ static inline __attribute__((always_inline)) float remainder(float x, float y) {
   return size == (double)INF && __builtin_fabsf(x) < INF ? x : __builtin_copysignf((float)rest, x);
 }
 
-// inverse error function in the two pieces of Giles (2010)
+// inverse error function over its argument, for w = -log(1 - x^2) and w - 2.5: the two pieces of Giles (2010)
+static inline __attribute__((always_inline)) float erf_inv_slope(float w, float near) {
+  float p = polynomial(near, 2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 0.00021858087f, -0.00125372503f,
+                       -0.00417768164f, 0.246640727f, 1.50140941f);
+  float q = polynomial(sqrt(w) - 3.f, -0.000200214257f, 0.000100950558f, 0.00134934322f, -0.00367342844f, 0.00573950773f,
+                       -0.0076224613f, 0.00943887047f, 1.00167406f, 2.83297682f);
+  return w < 5.f ? p : q;
+}
+
 static inline __attribute__((always_inline)) float erf_inv(float x) {
   float size = __builtin_fabsf(x), w = -log1p(-x * x);
-  float near = w - 2.5f, far = sqrt(w) - 3.f;
-  float p = 2.81022636e-08f, q = -0.000200214257f;
-  p = fma(p, near, 3.43273939e-07f), q = fma(q, far, 0.000100950558f);
-  p = fma(p, near, -3.5233877e-06f), q = fma(q, far, 0.00134934322f);
-  p = fma(p, near, -4.39150654e-06f), q = fma(q, far, -0.00367342844f);
-  p = fma(p, near, 0.00021858087f), q = fma(q, far, 0.00573950773f);
-  p = fma(p, near, -0.00125372503f), q = fma(q, far, -0.0076224613f);
-  p = fma(p, near, -0.00417768164f), q = fma(q, far, 0.00943887047f);
-  p = fma(p, near, 0.246640727f), q = fma(q, far, 1.00167406f);
-  p = fma(p, near, 1.50140941f), q = fma(q, far, 2.83297682f);
-  float inside = (w < 5.f ? p : q) * x;
+  float inside = erf_inv_slope(w, w - 2.5f) * x;
   return size == 1.f ? __builtin_copysignf(INF, x) : (size < 1.f ? inside : NOT_A_NUMBER);
 }
 

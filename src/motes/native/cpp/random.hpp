@@ -27,11 +27,6 @@ static inline __attribute__((always_inline)) Words threefry(Key key, uint32_t a,
   return {a, b};
 }
 
-template <class... Rest>
-static inline __attribute__((always_inline)) float polynomial(float x, float value, Rest... coefficients) {
-  return ((value = fma(value, x, coefficients)), ...);
-}
-
 // step by step as in motes.core.random
 static inline __attribute__((always_inline)) float to_normal(uint32_t word) {
   float centered = (float)(int32_t)word * 4.65661287e-10f;
@@ -42,12 +37,7 @@ static inline __attribute__((always_inline)) float to_normal(uint32_t word) {
                          0.999999821f);
   float log_and_more = fma((float)(shifted >> 23), 0.693147182f, fma(log, rest, 2.5f));
   float w = 2.5f - log_and_more;
-  float near = polynomial(-log_and_more, 2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 0.00021858087f,
-                          -0.00125372503f, -0.00417768164f, 0.246640727f, 1.50140941f);
-  float far = polynomial(sqrt(w) - 3.f, -0.000200214257f, 0.000100950558f, 0.00134934322f, -0.00367342844f, 0.00573950773f,
-                         -0.0076224613f, 0.00943887047f, 1.00167406f, 2.83297682f);
-  float scale = w < 5.f ? near : far;
-  return 1.41421354f * (scale * centered);
+  return 1.41421354f * (erf_inv_slope(w, -log_and_more) * centered);
 }
 
 // rows of standard normal numbers for the BLOCK particles from `begin` on

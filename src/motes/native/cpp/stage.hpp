@@ -1,5 +1,5 @@
 // The two stages of a filter with particles, for a traced model: `Model` is written by the translator.
-//   LEAVES, ROWS[], RANKS[]: arrays of the particles' state; OUTS, OUT_ROWS[], OUT_RANKS[]: those that the stage changes; TABLES;
+//   LEAVES, ROWS[], RANKS[]: arrays of the particles' state; OUTS, OUT_ROWS[], OUT_RANKS[]: those that the stage changes;
 //   NOISE: rows of random numbers; draw(P, begin, noise) fills them; lanes(...) works on up to BLOCK particles.
 #pragma once
 #include "weights.hpp"
@@ -10,7 +10,6 @@ template <class Model>
 struct Rows {
   const float* in[Model::IN_ROWS + 1];
   float* out[Model::OUT_ROWS_ALL + 1];
-  const float* tables[Model::TABLES + 1];
 };
 
 template <class Model>
@@ -26,11 +25,10 @@ static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, 
     float* data = batch.of<float>(frame.ret(first_out + leaf), run);
     for (int r = 0; r < Model::OUT_ROWS[leaf]; r++) rows.out[at++] = data + r * n;
   }
-  for (int k = 0; k < Model::TABLES; k++) rows.tables[k] = batch.of<const float>(frame.arg(2 + Model::LEAVES + k), run);
   return rows;
 }
 
-// args: parameters, ancestors `(n)`, leaves, tables; rets: changed leaves
+// args: parameters, ancestors `(n)`, leaves; rets: changed leaves
 template <class Model>
 static void move(const Frame& frame, const Team& team) {
   Operand like = frame.ret(0);
@@ -48,28 +46,18 @@ static void move(const Frame& frame, const Team& team) {
   });
 }
 
-// args: parameters, log weights `(n)`, leaves, tables; rets: log weights `(n)`, judgement `(6)`, changed leaves
+// args: parameters, log weights `(n)`, leaves; rets: log weights `(n)`, judgement `(6)`, changed leaves
 template <class Model>
 static void weigh(const Frame& frame, const Team& team) {
-  Operand like = frame.ret(0);
-  Batch batch(like, 1);
-  int64_t n = like.dims[like.rank - 1], blocks = blocks_of(n);
-  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+  weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t n) {
     const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
-    const float* log_weights = batch.of<const float>(frame.arg(1), run);
-    float* joint = batch.of<float>(frame.ret(0), run);
     Rows<Model> rows = rows_of<Model>(frame, batch, run, n, 2);
-    Scratch memory(sizeof(Tally) * blocks);
-    Tally* tallies = memory.as<Tally>();
-    own.each(blocks, ALONE, [=](int64_t b) {
-      alignas(64) float likelihood[BLOCK], ceiling[BLOCK], noise[Model::NOISE + 1][BLOCK];
-      int m = length_of(b, n);
+    return [=](int64_t b, float* likelihood, float* ceiling) {
+      alignas(64) float noise[Model::NOISE + 1][BLOCK];
       Model::draw(parameters, (uint32_t)(b * BLOCK), noise);
-      Model::lanes(parameters, rows, nullptr, b * BLOCK, m, noise, likelihood, ceiling);
-      tallies[b] = tally(log_weights + b * BLOCK, likelihood, ceiling, joint + b * BLOCK, m);
-    });
-    Judgement found = judge(tallies, blocks, batch.of<float>(frame.ret(1), run));
-    own.each(blocks, 4 * ALONE, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); });
+      Model::lanes(parameters, rows, nullptr, b * BLOCK, length_of(b, n), noise, likelihood, ceiling);
+      return Seen{likelihood, ceiling};
+    };
   });
 }
 

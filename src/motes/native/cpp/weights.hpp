@@ -181,4 +181,30 @@ static void for_each_run(const Team& team, const Batch& batch, int64_t n, Body b
   }
 }
 
+struct Seen { const float *likelihood, *ceiling; };
+
+// The whole of weighing. args: anything, log weights `(n)`, ...; rets: log weights `(n)`, judgement `(6)`, ...
+// `prepare(batch, run, n)` gives a function of (block, likelihood, ceiling) that says where the log likelihoods of a block and their
+// ceilings stand; it may fill the two arrays that it is given.
+template <class Prepare>
+static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare) {
+  Operand out = frame.ret(0);
+  Batch batch(out, 1);
+  int64_t n = out.dims[out.rank - 1], blocks = blocks_of(n);
+  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+    const float* before = batch.of<const float>(frame.arg(1), run);
+    float* joint = batch.of<float>(out, run);
+    auto see = prepare(batch, run, n);
+    Scratch memory(sizeof(Tally) * blocks);
+    Tally* tallies = memory.as<Tally>();
+    own.each(blocks, ALONE, [=](int64_t b) {
+      alignas(64) float likelihood[BLOCK], ceiling[BLOCK];
+      Seen seen = see(b, likelihood, ceiling);
+      tallies[b] = tally(before + b * BLOCK, seen.likelihood, seen.ceiling, joint + b * BLOCK, length_of(b, n));
+    });
+    Judgement found = judge(tallies, blocks, batch.of<float>(frame.ret(1), run));
+    own.each(blocks, 4 * ALONE, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); });
+  });
+}
+
 }  // namespace motes
