@@ -123,6 +123,19 @@ def test_differences_of_angles_lie_in_the_half_open_circle():
     assert np.allclose(found[0], [7.0, 7.0, 0.1]) and np.allclose(found[1], [0.1 - np.pi, np.pi - 0.1, 0.2], atol=1e-6)
 
 
+@pytest.mark.parametrize("noise", [mo.AdditiveGaussian(lambda x, u, t: 2 * x, [[1.0, 0.3], [0.3, 2.0]]),
+                                   mo.AdditiveNoise(lambda x, u, t: 2 * x, mo.StudentT([1.0, 2.0], 5.0))], ids=["Gaussian", "Student"])
+def test_what_was_drawn_cannot_be_missing(noise):
+    """NaN in a measurement is left out; NaN in a particle of a proposal is a fault, which gives that particle no density."""
+    X = jnp.array([[1.0, -2.0, 0.5], [0.2, 0.1, 3.0]])
+    values = jnp.array([[2.5, -4.0, jnp.nan], [0.3, 0.9, 5.0]])
+    each = noise.log_prob(values, X, None, 0)
+    assert np.isnan(each[2])
+    for i in (0, 1):
+        assert np.isclose(each[i], noise.log_prob(values[:, i], X, None, 0)[i], rtol=1e-5)
+    assert np.isfinite(noise.log_prob(values[:, 2], X, None, 0)).all()
+
+
 def test_laws_print_compare_and_hash():
     first, second = mo.Gaussian([1.0], [[2.0]]), mo.Gaussian([1.0], [[2.0]])
     assert first == second and hash(first) == hash(second) and first != mo.Gaussian([1.5], [[2.0]])

@@ -57,7 +57,10 @@ class Conditional(ABC):
 
     @abstractmethod
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
-        """Log density `(n,)` of a value `(z,)` or `(z, n)` given each particle."""
+        """Log density `(n,)` given each particle: of one value `(z,)`, a measurement, whose NaN components are left out; or of `(z, n)`.
+
+        Values of each particle's own were drawn, not measured: NaN among them gives NaN.
+        """
 
     def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Largest value that `log_prob` can take for each particle, `()` or `(n,)`; infinite when not known."""
@@ -155,12 +158,12 @@ class AdditiveGaussian(Conditional):
         return Gaussian(self.means(X, u, t), matrix_over(self.Q, X, u, t)).sample(key, X.shape[-1])
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
-        """Log density given each particle; NaN components are left out."""
-        return log_normal(self.residual(value, self.means(X, u, t)), matrix_over(self.Q, X, u, t), ~jnp.isnan(value))
+        """Log density given each particle; see `Conditional`."""
+        return log_normal(self.residual(value, self.means(X, u, t)), matrix_over(self.Q, X, u, t), _measured(value))
 
     def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density at a perfect fit."""
-        return log_normal_peak(value, matrix_over(self.Q, X, u, t), ~jnp.isnan(value))
+        return log_normal_peak(value, matrix_over(self.Q, X, u, t), _measured(value))
 
 
 @record
@@ -194,6 +197,11 @@ class LinearGaussian(AdditiveGaussian):
     def means(self, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """A x of each particle, `(z, n)`."""
         return linalg.times_vector(matrix_over(self.A, X, u, t), X)
+
+
+def _measured(value: jax.Array) -> jax.Array | None:
+    """Tell which components of a measurement `(z,)` are there, `(z,)`; None, for all, of values `(z, n)`, which were drawn."""
+    return ~jnp.isnan(value) if value.ndim == 1 else None
 
 
 def _linear(x: jax.Array, u: Any, t: Any) -> jax.Array:
@@ -239,11 +247,12 @@ class AdditiveNoise(Conditional):
         return over_particles(self.f, X, u, t) + self.law.sample(key, X.shape[-1]).astype(X.dtype)
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
-        """Log density given each particle; NaN components are left out where `marginalizes`."""
+        """Log density given each particle; see `Conditional` (NaN components are left out where `marginalizes`)."""
         residual = self.residual(value, over_particles(self.f, X, u, t))
         # a prediction that is not a number is no missing measurement
-        known = jnp.isnan(residual) & ~(jnp.isnan(value) if value.ndim == 2 else jnp.isnan(value)[:, None])
-        return jnp.where(jnp.any(known, axis=0), jnp.nan, self.law.log_prob(residual))
+        seen = _measured(value)
+        wrong = jnp.isnan(residual) if seen is None else jnp.isnan(residual) & seen[:, None]
+        return jnp.where(jnp.any(wrong, axis=0), jnp.nan, self.law.log_prob(residual))
 
 
 @record
