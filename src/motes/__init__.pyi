@@ -47,3 +47,7 @@ from .resampling.schemes import Multinomial as Multinomial
 from .resampling.schemes import Residual as Residual
 from .resampling.schemes import Stratified as Stratified
 from .resampling.schemes import Systematic as Systematic
+from .studies.experiment import Experiment as Experiment
+from .studies.result import StudyResult as StudyResult
+from .studies.run import study as study
+from .studies.tables import Table as Table

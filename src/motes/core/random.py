@@ -18,8 +18,10 @@ from motes.core.types import KeyLike
 
 PREDICT, UPDATE, INITIAL, RESAMPLE, NOISE, MEASURE = range(2, 8)
 """Purposes within one step: `child(key, PREDICT)` and so on never share numbers. 0 and 1 are free for laws that need two blocks."""
+WORLD, FILTER = 8, 9
+"""Purposes within one run of a study."""
 
-_MARKS = np.random.SeedSequence(20041).generate_state(8, np.uint32)
+_MARKS = np.random.SeedSequence(20041).generate_state(10, np.uint32)
 
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _PARITY = np.uint32(0x1BD11BDA)
@@ -63,7 +65,7 @@ def step_key(key: jax.Array, step: jax.Array | int) -> jax.Array:
 
 
 def child(key: jax.Array, purpose: int) -> jax.Array:
-    """Return the key for one of eight purposes within a step.
+    """Return the key for one purpose within a step or a run.
 
     Threefry makes independent numbers from keys that differ in a single bit, so marking the key is enough; the rotation keeps a child of a
     child apart from the children of others.

@@ -8,6 +8,7 @@ compared in this way (it closes over tracers, calls back into Python, has effect
 Functions are taken to be pure, as everywhere in JAX: one whose closed-over values are changed after its first use must be made anew.
 """
 
+import dataclasses
 import hashlib
 from collections.abc import Callable
 from functools import cache
@@ -21,8 +22,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
 
+from motes.core.checks import refuse
 from motes.core.record import is_function, replace
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom, LinearGaussian
 from motes.models.mixed_linear import MixedLinearModel
@@ -66,7 +68,15 @@ class Program:
 class _Identity:
     """Stands for one program on arguments of certain shapes, as long as a function with that program lives."""
 
-    __slots__ = ("__weakref__",)
+    __slots__ = ("__weakref__", "program")
+
+    def __init__(self, program: Any):
+        """Take all that the program is, as nested tuples."""
+        self.program = program
+
+
+class _Rule(tuple[Any, ...]):
+    """A function inside a program: its name with a digest of its code, and a number that no other function of this process has."""
 
 
 class _IncomparableError(Exception):
@@ -165,7 +175,7 @@ def _identity(function: Any, args: tuple[Any, ...], signature: Any) -> _Identity
     try:
         program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
         key = (signature, jax.tree.structure(shapes), _program(program.jaxpr, program.consts))
-        return _programs.setdefault(key, _Identity())
+        return _programs.setdefault(key, _Identity(key))
     except Exception:  # whatever is wrong with the function, the run that uses it says it better
         return None
 
@@ -227,7 +237,8 @@ def _value(value: Any) -> Any:
     if isinstance(value, dict):
         return dict, tuple((_value(name), _value(item)) for name, item in value.items())
     if isinstance(value, FunctionType):
-        return FunctionType, _numbers.setdefault(value, next(_count))
+        code = hashlib.sha256(value.__code__.co_code).hexdigest()
+        return _Rule((f"{value.__module__}.{value.__qualname__} {code}", _numbers.setdefault(value, next(_count))))
     if type(value).__module__.partition(".")[0] not in ("builtins", "jax", "jaxlib", "numpy", "ml_dtypes"):
         raise _IncomparableError
     hash(value)
@@ -243,3 +254,43 @@ def _array(value: Any) -> tuple[Any, ...]:
     numbers = raw.tobytes() if raw.size <= _SMALL else hashlib.sha256(raw.data).digest()
     place = (value.sharding, value.committed, value.weak_type) if isinstance(value, jax.Array) else ()
     return type(value), value.dtype, value.shape, numbers, place
+
+
+def fingerprint(argument: str, value: Any) -> str:
+    """Return a digest of what a canonical model, a filter or a tree of arrays is: equal in all processes with one version of JAX.
+
+    Args:
+        argument: name to use in the message.
+        value: records, tuples, dictionaries, arrays and functions that `canonical` has wrapped.
+
+    Raises:
+        MotesError: a function cannot be compared by its traced program.
+    """
+    return hashlib.sha256(_spelled(argument, value).encode()).hexdigest()
+
+
+def _spelled(argument: str, value: Any) -> str:
+    if isinstance(value, Program):
+        return _spelled(argument, value.identity.program)
+    if isinstance(value, _Rule):
+        return value[0]
+    if isinstance(value, (tuple, list)):
+        return f"{type(value).__name__}({','.join(_spelled(argument, item) for item in value)})"
+    if isinstance(value, dict):
+        return f"dict({','.join(f'{_spelled(argument, name)}:{_spelled(argument, item)}' for name, item in value.items())})"
+    if isinstance(value, (jax.Array, np.ndarray)) and not jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+        return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
+        return f"{type(value).__qualname__}{_spelled(argument, dict(fields))}"
+    if not jax.tree_util.all_leaves([value]):
+        leaves, form = jax.tree.flatten(value)
+        return _spelled(argument, (str(form), leaves))
+    if isinstance(value, FunctionType) and value.__module__.startswith("motes.") and value.__closure__ is None:
+        return f"{value.__module__}.{value.__qualname__}"
+    text = value.name if isinstance(value, Primitive) else repr(value)
+    foreign = is_function(value) and not isinstance(value, type) and type(value).__module__.partition(".")[0] not in ("jax", "jaxlib")
+    if foreign or " at 0x" in text:
+        refuse(argument, "functions that can be compared by their traced programs", getattr(value, "__qualname__", text)[:80],
+               "It calls back into Python, has a custom_vjp, or fails on its own; without a store it may.")
+    return f"{type(value).__name__} {text}"

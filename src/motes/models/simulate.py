@@ -31,11 +31,49 @@ def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tup
     """
     checks.positive_integer("simulate steps", steps)
     key = random.as_key(key)
+    return _simulate(key, _drawn_from(model, inputs), steps, inputs)
+
+
+def measurements(key: KeyLike, model: Any, xs: jax.Array, inputs: Inputs = None) -> jax.Array:
+    """Draw measurements of a given trajectory: those that `simulate` draws with this key, had it come along the same states.
+
+    Args:
+        key: JAX key or integer seed.
+        model: state-space or mixed linear model.
+        xs: states `(t, x)`.
+        inputs: tree with the time axis first, or None.
+
+    Returns:
+        Measurements `(t, y)`.
+
+    Raises:
+        MotesError: the states have another shape, or the measurement noise is correlated with that of the process, which these states fix.
+    """
+    if getattr(model, "noise_cross_cov", None) is not None:
+        checks.refuse("model", "measurement noise that is independent of the process noise, where states are given", "noise_cross_cov")
+    checks.shape("xs", xs, (None, model.size), "(steps, states)")
+    return _measurements(random.as_key(key), _drawn_from(model, inputs), jnp.asarray(xs, model.dtype), inputs)
+
+
+def _drawn_from(model: Any, inputs: Inputs) -> Any:
     model = canonical(model, jax.tree.map(one_of, inputs))
     if isinstance(model, StateSpaceModel) and isinstance(model.sensor, Custom):
         # a density that is not needed here must not decide what is compiled
         model = replace(model, sensor=replace(model.sensor, density=None))
-    return _simulate(key, model, steps, inputs)
+    return model
+
+
+def _measured(key: jax.Array, model: StateSpaceModel, x: jax.Array, u: Inputs, t: Any) -> jax.Array:
+    keyed = random.child(random.step_key(key, t), random.MEASURE)
+    return model.sensor.sample(keyed, x[:, None], u, t)[:, 0]
+
+
+@jax.jit
+def _measurements(key: jax.Array, given: Any, xs: jax.Array, inputs: Inputs) -> jax.Array:
+    model = given if isinstance(given, StateSpaceModel) else given.joined()
+    key = random.child(key, random.NOISE)
+    steps = jnp.arange(xs.shape[0], dtype=jnp.int32)
+    return jax.lax.map(lambda now: _measured(key, model, *now), (xs, inputs, steps))
 
 
 @partial(jax.jit, static_argnames=("steps",))
@@ -47,20 +85,16 @@ def _simulate(key: jax.Array, given: Any, steps: int, inputs: Inputs) -> tuple[j
     separate = decorrelated(model)
     correlated = model.noise_cross_cov is not None
 
-    def measure(x: jax.Array, t: Any, u: Inputs) -> jax.Array:
-        keyed = random.child(random.step_key(key, t), random.MEASURE)
-        return model.sensor.sample(keyed, x[:, None], u, t)[:, 0]
-
     def advance(carry: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple[Any, Any]:
         x, y = carry
         u = step_inputs(inputs, t)
         driven = Previous(u, step_inputs(inputs, t - 1), y) if correlated else u
         keyed = random.child(random.step_key(key, t), random.PREDICT)
         x = separate.dynamics.sample(keyed, x[:, None], driven, t)[:, 0]
-        y = measure(x, t, u)
+        y = _measured(key, model, x, u, t)
         return (x, y), (x, y)
 
     x = model.initial.sample(random.child(random.step_key(key, 0), random.INITIAL), 1)[:, 0]
-    y = measure(x, jnp.int32(0), step_inputs(inputs, 0))
+    y = _measured(key, model, x, step_inputs(inputs, 0), jnp.int32(0))
     _, (xs, ys) = jax.lax.scan(advance, (x, y), jnp.arange(1, steps, dtype=jnp.int32))
     return jnp.concatenate([x[None], xs]), jnp.concatenate([y[None], ys])

@@ -1,0 +1,161 @@
+"""Running a study: what is missing is computed by any number of workers, kept as it comes, and put together."""
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from motes.core import checks, engine
+from motes.studies.experiment import Experiment
+from motes.studies.identity import of_filters, of_world
+from motes.studies.result import StudyResult, notes_of
+from motes.studies.store import Entry, Memory, Store
+from motes.studies.work import TRUTH, Work, batch_width, built, remote_block, settings_in_force
+
+CHUNK = 8
+"""Runs that are computed, and kept, at a time on a CPU."""
+
+Task = tuple[str, int, int]
+
+
+def study(
+    experiment: Experiment | str,
+    store: str | Path | None = None,
+    executor: Any = None,
+    chunk: int | None = None,
+    progress: bool | None = None,
+    repair: bool = False,
+) -> StudyResult:
+    """Run all filters of an experiment on all its runs.
+
+    The numbers are the same, bit for bit, whatever the chunks, workers, order of completion and interruptions, on one kind of processor. A
+    store lets a study that was stopped or killed go on where it was, and take further runs or filters without touching those it has.
+
+    Args:
+        experiment: what to run; or, for an executor of other processes, the name "module:function" of a function that makes it.
+        store: folder to keep the runs in as they come; None keeps them in memory.
+        executor: what has `submit(function, *arguments)` and gives futures with `result`, `cancel` and `add_done_callback`, such as a
+            `concurrent.futures.ProcessPoolExecutor` that spawns its processes, or a Dask `Client`; None for threads of this process, one
+            for each processor.
+        chunk: runs to compute and keep at a time; 8 on a CPU and a batch on an accelerator if not given.
+        progress: whether to draw a progress bar on the error stream; where that is a terminal, if not given.
+        repair: whether to compute runs again whose files in the store are damaged; otherwise these are an error.
+
+    Raises:
+        MotesError: parts of the experiment do not fit each other, or an argument cannot be used.
+        FileError: the store is of another experiment (the message names what differs), is damaged, is in use, or cannot be written to.
+        KeyboardInterrupt: the study was interrupted; the message says how to go on.
+    """
+    plan = built(experiment) if isinstance(experiment, str) else experiment
+    if not isinstance(plan, Experiment):
+        checks.refuse("study experiment", "an Experiment, or the name of a function that makes one, 'module:function'", type(plan).__name__)
+    if executor is not None:
+        _check_executor(experiment, executor)
+    width = batch_width()
+    chunk = (CHUNK if width == 1 else width) if chunk is None else chunk
+    checks.positive_integer("study chunk", chunk)
+    plan.check()
+    with Memory() if store is None else Store(Path(store)) as kept:
+        notes = notes_of(plan, engine.chosen())
+        if isinstance(kept, Store):
+            kept.settle(of_world(plan), {TRUTH: Entry("", "truth")} | of_filters(plan), notes)
+            kept.verify(repair)
+        tasks = _missing(plan, kept, chunk)
+        try:
+            with _workers(experiment, plan, executor, width) as submit, _bar(plan, tasks, progress) as advance:
+                _work_off(tasks, submit, kept, advance)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(_told(plan, kept, store, chunk)) from None
+        labels = {name: repr(plan.assumed(name)[0]) for name in plan.filters}
+        return StudyResult.read(kept, list(plan.filters), plan.runs, notes | {"labels": labels})
+
+
+def _check_executor(experiment: Any, executor: Any) -> None:
+    if not callable(getattr(executor, "submit", None)):
+        checks.refuse("study executor", "what has submit(function, *arguments), such as a ProcessPoolExecutor", type(executor).__name__)
+    if not isinstance(experiment, str):
+        checks.refuse("study experiment", "the name of a function that makes it, 'module:function', where an executor is given",
+                      type(experiment).__name__, "Functions of a model cannot travel to other processes.")
+    context = getattr(executor, "_mp_context", None)
+    if context is not None and context.get_start_method() == "fork":
+        checks.refuse("study executor", "processes that are spawned", "forked ones, in which JAX hangs",
+                      "Give ProcessPoolExecutor mp_context=multiprocessing.get_context('spawn').")
+
+
+def _missing(plan: Experiment, kept: Store | Memory, chunk: int) -> list[Task]:
+    """Return the blocks of runs that are still to be computed: the first of each part, then the second of each, and so on."""
+    tasks = []
+    for part in (TRUTH, *plan.filters):
+        have = 0
+        for start, stop in [*kept.done(part), (plan.runs, plan.runs)]:
+            tasks += [(part, first, min(first + chunk, start, plan.runs)) for first in range(have, min(start, plan.runs), chunk)]
+            have = max(have, stop)
+    return sorted(tasks, key=lambda task: task[1])
+
+
+@contextmanager
+def _workers(source: Any, plan: Experiment, executor: Any, width: int) -> Iterator[Callable[..., Any]]:
+    """Give what submits a task; leaving by an error ends the threads of this process after the run at hand."""
+    settings = settings_in_force()
+    if executor is not None:
+        yield lambda *task: executor.submit(remote_block, source, settings, width, *task)
+        return
+    work = Work(plan, width)
+    with ThreadPoolExecutor(processors() if width == 1 else 1) as pool:
+        try:
+            yield lambda *task: pool.submit(work.block, settings, *task)
+        except BaseException:
+            work.stopping.set()
+            raise
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _work_off(tasks: list[Task], submit: Callable[..., Any], kept: Store | Memory, advance: Callable[[int], None]) -> None:
+    finished: SimpleQueue[Any] = SimpleQueue()
+    pending = {}
+    try:
+        for task in tasks:
+            future = submit(*task)
+            pending[future] = task
+            future.add_done_callback(finished.put)
+        while pending:
+            future = finished.get()
+            part, start, stop = pending.pop(future)
+            kept.put(part, start, stop, future.result())
+            advance(stop - start if part != TRUTH else 0)
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+@contextmanager
+def _bar(plan: Experiment, tasks: list[Task], progress: bool | None) -> Iterator[Callable[[int], None]]:
+    """Draw a progress bar over the runs of all filters, with the time that is left."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not (console.is_terminal if progress is None else progress):
+        yield lambda runs: None
+        return
+    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    total = plan.runs * len(plan.filters)
+    left = sum(stop - start for part, start, stop in tasks if part != TRUTH)
+    with Progress(*columns, console=console) as drawn:
+        bar = drawn.add_task("", total=total, completed=total - left)
+        yield lambda runs: drawn.advance(bar, runs)
+
+
+def _told(plan: Experiment, kept: Store | Memory, store: Any, chunk: int) -> str:
+    total = plan.runs * len(plan.filters)
+    left = sum(stop - start for part, start, stop in _missing(plan, kept, chunk) if part != TRUTH)
+    if store is None:
+        return f"study: interrupted after {total - left} of {total} runs; none is kept. Give a store to be able to go on."
+    return f"study: interrupted; {total - left} of {total} runs are in {store}. The same call goes on from there."
