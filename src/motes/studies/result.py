@@ -58,7 +58,7 @@ class StudyResult:
 
     @classmethod
     def load(cls, store: str | Path) -> "StudyResult":
-        """Read a store: the runs that all its filters have, which is what can be compared.
+        """Read a store: of the filters of the study that used it last, the runs that all of them have, which is what can be compared.
 
         Args:
             store: the folder; a study may be writing to it.
@@ -68,12 +68,12 @@ class StudyResult:
         """
         with Store(Path(store), write=False) as found:
             found.verify(repair=False)
-            parts = [part for part in found.parts() if part != TRUTH]
-            runs = min((_unbroken(found.done(part)) for part in (TRUTH, *parts)), default=0)
-            if not parts or not runs:
+            notes, entries = found.notes(), found.parts()
+            parts = list(notes["gives_up"])
+            runs = min(_unbroken(found.done(part)) for part in (TRUTH, *parts))
+            if not runs:
                 checks.refuse(str(store), "a store with runs of all its filters", "none yet", "Let the study go on.", checks.FileError)
-            labels = {part: found.parts()[part][1].shown for part in parts}
-            return cls.read(found, parts, runs, found.notes() | {"labels": labels})
+            return cls.read(found, parts, runs, notes | {"labels": {part: entries[part][1].shown for part in parts}})
 
     @classmethod
     def read(cls, kept: Store | Memory, parts: list[str], runs: int, notes: dict[str, Any]) -> "StudyResult":

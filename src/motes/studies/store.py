@@ -14,7 +14,7 @@ import re
 import socket
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 from urllib.parse import quote
@@ -111,7 +111,9 @@ class Store:
         """Close the ledger and end the lock."""
         with foreign(self.folder / LEDGER, "a ledger that can be closed"):
             if self._lock is not None:
-                self._ledger.execute("PRAGMA journal_mode=DELETE")  # one plain file, which can be read from a disc that cannot be written
+                # one plain file again, which can be read where nothing can be written; not while somebody reads it
+                with suppress(sqlite3.OperationalError):
+                    self._ledger.execute("PRAGMA journal_mode=DELETE")
             self._ledger.close()
         self._unlock()
 
@@ -146,7 +148,8 @@ class Store:
                 yield
                 self._ledger.execute("COMMIT")
             except BaseException:
-                self._ledger.execute("ROLLBACK")
+                if self._ledger.in_transaction:
+                    self._ledger.execute("ROLLBACK")
                 raise
 
     def _rows(self, table: str) -> list[tuple[Any, ...]]:
@@ -202,8 +205,15 @@ class Store:
                     path.unlink()
 
     def notes(self) -> dict[str, Any]:
-        """Return the notes."""
-        return next(json.loads(shown) for name, _, shown in self._rows("field") if name == "notes")
+        """Return the notes that the last study left.
+
+        Raises:
+            FileError: there are none: the study was stopped before it began.
+        """
+        for name, _, shown in self._rows("field"):
+            if name == "notes":
+                return json.loads(shown)
+        refuse(label(self.folder), "a store with runs", "none yet", "Let the study go on.", FileError)
 
     def parts(self) -> dict[str, tuple[int, Entry]]:
         """Return number and entry of each part by name."""
