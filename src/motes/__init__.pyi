@@ -39,6 +39,7 @@ from .models.structure import Structure as Structure
 from .models.structure import structure as structure
 from .native.choice import engine as engine
 from .plotting.plot import plot as plot
+from .report.html import report as report
 from .resampling.policy import ESS as ESS
 from .resampling.policy import Always as Always
 from .resampling.policy import Entropy as Entropy

@@ -40,8 +40,8 @@ def child(folder, cache):
     paths = [str(here), str(here.parent), *filter(None, sys.path)]
     surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "JAX_COMPILATION_CACHE_DIR": str(cache),
                                  "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
-    return subprocess.Popen([sys.executable, "-c", CHILD, str(folder), str(RUNS)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                            env=surroundings, start_new_session=True)
+    return subprocess.Popen([sys.executable, "-c", CHILD, str(folder), str(RUNS)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                            text=True, env=surroundings, start_new_session=True)
 
 
 def blocks_of(folder):

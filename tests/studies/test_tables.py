@@ -80,6 +80,15 @@ def test_lost_runs_are_counted_and_left_out_of_what_follows(result):
             assert table.column("s.e. of it")[row] == pytest.approx(spread, rel=0.1)
 
 
+def test_rmse_over_time(result):
+    result = replace(result, lost_beyond=("plane", 40.0))
+    over_time = result.rmse_over_time("plane")
+    errors = (result.estimates - result.truth)[..., [2, 0]]
+    np.testing.assert_allclose(over_time[0], np.sqrt(np.square(errors[0]).sum(-1).mean(0)))
+    np.testing.assert_allclose(over_time[1], np.sqrt(np.square(np.delete(errors[1], 4, 0)).sum(-1).mean(0)))
+    assert np.isnan(replace(result, lost_beyond=("y", 1e-9)).rmse_over_time("y")).all()
+
+
 def test_errors_of_the_rmse_are_those_of_many_studies():
     """400 studies of 50 runs: the mean claimed error is the spread of the RMSE; level 1e-6 (chi-square, 399 degrees: a factor of 1.19)."""
     from motes.studies.tables import accuracy, difference
@@ -100,10 +109,11 @@ def test_bound_and_seconds(result):
     table = result.table(bound=SimpleNamespace(cov=covs), seconds={"other": 0.012345})
     least = np.sqrt((covs[:, 0, 0] + covs[:, 2, 2]).mean())
     assert table.column("of bound")[2] == pytest.approx(table.column("RMSE")[2] / least)
+    np.testing.assert_allclose(result.bound_over_time("y", SimpleNamespace(cov=covs)), np.sqrt(covs[:, 1, 1]))
     assert table.column("s/step") == [None, None, 0.012345, 0.012345]
     with pytest.raises(mo.MotesError) as error:
         result.table(bound=SimpleNamespace(cov=covs[1:]))
-    refused(error, "table bound.cov: expected shape (5, 3, 3) (steps, states, states), got shape (4, 3, 3)")
+    refused(error, "bound.cov: expected shape (5, 3, 3) (steps, states, states), got shape (4, 3, 3)")
     with pytest.raises(mo.MotesError, match="table seconds: expected one of 'ref', 'other', got 'else'"):
         result.table(seconds={"else": 1.0})
 

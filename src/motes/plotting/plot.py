@@ -5,22 +5,27 @@ from typing import Any
 from motes.core import checks
 from motes.filters.history import History
 from motes.plotting.history import history_figure
+from motes.plotting.study import study_figure
+from motes.studies.result import StudyResult
 
 
-def plot(result: Any, truth: Any = None) -> Any:
+def plot(result: Any, truth: Any = None, bound: Any = None) -> Any:
     """Draw a result.
 
     Args:
-        result: a `History` that kept means and covariances.
-        truth: true states `(t, x)`, to draw beside the estimates.
+        result: a `History` that kept means and covariances, or a `StudyResult`.
+        truth: true states `(t, x)`, to draw beside the estimates of a history.
+        bound: with `cov` `(t, x, x)`, to draw beside the errors of a study.
 
     Returns:
         A matplotlib `Figure`; save it with `figure.savefig("name.png")`.
 
     Raises:
-        MotesError: there is no picture for such a result, or the truth does not fit it.
+        MotesError: there is no picture for such a result, or truth or bound do not fit it.
         MissingExtraError: matplotlib is not installed.
     """
     if isinstance(result, History):
         return history_figure(result, truth)
-    checks.refuse("plot result", "a History", type(result).__name__)
+    if isinstance(result, StudyResult):
+        return study_figure(result, bound)
+    checks.refuse("plot result", "a History or a StudyResult", type(result).__name__)

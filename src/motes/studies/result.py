@@ -131,6 +131,28 @@ class StudyResult:
             lost |= ~(np.sqrt(self.squared_errors(block)[..., -1]) <= limit)
         return lost
 
+    def rmse_over_time(self, block: str) -> np.ndarray:
+        """Return the RMSE of a block at each step over the runs that are not lost, `(filter, t)`; NaN where all are."""
+        kept = ~self.lost[..., None]
+        count = kept.sum(axis=1)
+        total = np.where(kept, self.squared_errors(block), 0).sum(axis=1)
+        return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+    def bound_over_time(self, block: str, bound: Any) -> np.ndarray:
+        """Return what a bound says of the RMSE of a block at each step, `(t,)`: the root of the trace of the block.
+
+        Args:
+            block: name of the block.
+            bound: with `cov` `(t, x, x)`.
+
+        Raises:
+            MotesError: the bound has another shape, or there is no such block.
+        """
+        _, steps, states = self.truth.shape
+        checks.shape("bound.cov", bound.cov, (steps, states, states), "(steps, states, states)")
+        variances = np.diagonal(np.asarray(bound.cov, np.float64), axis1=1, axis2=2)
+        return np.sqrt(variances[:, places(self.states, self.block(block))].sum(axis=1))
+
     def table(self, bound: Any = None, seconds: dict[str, float] | None = None) -> Table:
         """Return the table of the study; see `study_table` for its columns.
 

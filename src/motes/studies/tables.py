@@ -197,9 +197,6 @@ def study_table(result: Any, bound: Any, seconds: dict[str, float] | None) -> Ta
     Raises:
         MotesError: the bound has another shape, or a name is unknown.
     """
-    runs, steps, states = result.truth.shape
-    if bound is not None:
-        checks.shape("table bound.cov", bound.cov, (steps, states, states), "(steps, states, states)")
     for name in seconds or {}:
         checks.option("table seconds", name, result.filters)
     lost = result.lost
@@ -207,11 +204,10 @@ def study_table(result: Any, bound: Any, seconds: dict[str, float] | None) -> Ta
     columns = tuple(name for name in COLUMNS if optional.get(name, True))
     rows = []
     for place, filter in enumerate(result.filters):
-        for block, members in result.blocks:
+        for block, _ in result.blocks:
             cells = _cells(result, place, block, lost)
             if bound is not None:
-                here = [result.states.index(state) for state in members]
-                least = math.sqrt(np.trace(np.asarray(bound.cov, np.float64)[:, here][:, :, here], axis1=1, axis2=2).mean())
+                least = _root(np.square(result.bound_over_time(block, bound)))
                 cells["of bound"] = cells["kept"] / least if least > 0 else math.nan
             cells |= {"filter": filter, "block": block, "lost": int(lost[place].sum()), "s/step": (seconds or {}).get(filter)}
             rows.append(tuple(cells[name] for name in columns))
