@@ -51,4 +51,7 @@ from .resampling.schemes import Systematic as Systematic
 from .studies.experiment import Experiment as Experiment
 from .studies.result import StudyResult as StudyResult
 from .studies.run import study as study
+from .studies.search import Particles as Particles
+from .studies.search import particles_for_rmse as particles_for_rmse
+from .studies.search import particles_for_time as particles_for_time
 from .studies.tables import Table as Table

@@ -229,3 +229,18 @@ def test_doctor(tmp_path):
     assert done.returncode == 0 and not done.stderr
     for word in ("motes", "jax", "precision", "devices", "matplotlib", "processors", str(Path(tmp_path) / "motes")):
         assert word in done.stdout
+
+
+def test_report_of_a_store(tmp_path, monkeypatch, capsys):
+    import motes as mo
+
+    model = mo.StateSpaceModel(mo.Gaussian([0.0], [[1.0]]), mo.LinearGaussian([[0.9]], [[1.0]]), mo.LinearGaussian([[1.0]], [[1.0]]))
+    result = mo.study(mo.Experiment(model, {"kalman": mo.KalmanFilter()}, steps=4, runs=3), store=tmp_path / "runs")
+    assert main(["report", str(tmp_path / "runs"), "--out", str(tmp_path / "page.html"), "--title", "Mine"]) == 0
+    printed = capsys.readouterr().out
+    assert "kalman" in printed and f"{result.table().column('RMSE')[0]:#.4g}" in printed and "page.html" in printed
+    assert "<h1>Mine</h1>" in (tmp_path / "page.html").read_text()
+    refused(capsys, ["report"], "the folder of a study first", "nothing")
+    refused(capsys, ["report", tmp_path], "ledger.sqlite", "the ledger of a study")
+    refused(capsys, ["report", tmp_path / "runs", "--out", "page.txt"], "page.txt", ".html")
+    refused(capsys, ["report", tmp_path / "runs", "--outt", "x"], "--outt")

@@ -13,22 +13,12 @@ import motes as mo
 from data import refused
 from motes.core.checks import FileError
 from motes.core.record import replace
-
-FILTERS, RUNS, STEPS = ("ref", "other"), 9, 5
+from studied import RUNS, STEPS, made_result
 
 
 @pytest.fixture
 def result():
-    """Skewed errors of three states, two blocks; run 4 of the second filter has gone far away."""
-    draw = np.random.default_rng(5)
-    truth = draw.standard_normal((RUNS, STEPS, 3))
-    errors = draw.gamma(1.5, [0.5, 1.0, 2.0], (2, RUNS, STEPS, 3)) - 0.3
-    errors[1, 4] += 100.0
-    nees = draw.gamma(1.0, 2.0, (2, RUNS, STEPS, 2))
-    return mo.StudyResult(
-        truth=truth, estimates=truth + errors, nees=nees, ess=np.ones((2, RUNS)), log_likelihood=np.zeros((2, RUNS)),
-        collapsed=np.full((2, RUNS), -1), filters=FILTERS, labels=("A", "B"), gives_up=(True, True), states=("x", "y", "z"), angles=(),
-        blocks=(("plane", ("z", "x")), ("y", ("y",))), lost_beyond=None, seed=0, provenance=(("jax_version", "1"),))
+    return made_result()
 
 
 def plain(result, filter, states, runs):

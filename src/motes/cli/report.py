@@ -32,12 +32,10 @@ def main(words: Sequence[str]) -> None:
     if not words or words[0].startswith("-"):
         refuse(USAGE, "the folder of a study first", " ".join(words) or "nothing", "mo.study(..., store=FOLDER) makes one.")
     settings = from_flags(Report(), words[1:], USAGE)
-    from rich.console import Console
-
     from motes.report.html import report
     from motes.studies.result import StudyResult
 
     result = StudyResult.load(words[0])
     page = report(result, settings.out, title=settings.title)
-    Console().print(result.table())
+    print(result.table())
     print(f"The report is in {page}.")

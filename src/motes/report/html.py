@@ -74,9 +74,9 @@ def _page(result: StudyResult, bound: Any, seconds: dict[str, float] | None, tit
     )
 
 
-_READING = """RMSE: root of the mean over time and runs of the squared 2-norm of the error, with its Monte Carlo standard error. Median: RMSE
-of the median run. Difference: to the first filter on the same runs. NEES/dim: 1 for a filter whose covariances are right. Where runs are
-lost, RMSE and median are over all runs, and everything else is over those that are not lost."""
+_READING = """RMSE: root of the mean over time and runs of the squared 2-norm of the error, with its Monte Carlo standard error.
+Median: RMSE of the median run. Difference: to the first filter on the same runs. NEES/dim: 1 for a filter whose covariances are right.
+Where runs are lost, RMSE and median are over all runs, and everything else is over those that are not lost."""
 
 
 def _table(head: Any, rows: Any, texts: int) -> str:
@@ -102,7 +102,7 @@ def _strip(result: StudyResult, block: str) -> str:
     usable = errors[np.isfinite(errors) & (errors > 0)]
     low, high = (math.log10(usable.min()), math.log10(usable.max())) if usable.size else (0.0, 1.0)
     low, high = low - 0.02, max(high, low + 0.1) + 0.02
-    ticks = [tick for power in range(math.floor(low), math.ceil(high) + 1) for tick in (10.0**power, 2 * 10.0**power, 5 * 10.0**power)]
+    ticks = [tick for power in range(math.floor(low), math.ceil(high) + 1) for tick in np.array([1, 2, 3, 5, 7]) * 10.0**power]
 
     def across(value: float) -> float:
         return LEFT + (math.log10(value) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
