@@ -146,7 +146,7 @@ def test_digits():
     from motes.studies.tables import shown
 
     assert [shown(value) for value in (1.0, 0.0123456, 123456.0, 3, None, math.nan, math.inf, "x")] == [
-        "1.000", "0.01235", "1.235e+05", "3", "-", "-", "-", "x"]
+        "1.000", "0.01235", "1.235e+05", "3", "-", "-", "inf", "x"]
 
 
 def test_xarray_and_netcdf(result, tmp_path):

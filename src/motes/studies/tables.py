@@ -101,9 +101,9 @@ def shown(cell: Cell) -> str:
     """Return a cell as people read it: numbers with four digits, a dash for what cannot be had."""
     if isinstance(cell, str):
         return cell
-    if cell is None or not math.isfinite(cell):
+    if cell is None or math.isnan(cell):
         return "-"
-    return str(cell) if isinstance(cell, int) else f"{cell:#.4g}".rstrip(".")
+    return str(cell) if isinstance(cell, int) or math.isinf(cell) else f"{cell:#.4g}".rstrip(".")
 
 
 def _is_number(rows: tuple[tuple[Cell, ...], ...], place: int) -> bool:
@@ -126,7 +126,7 @@ def _csv(cell: Cell) -> Cell:
     if isinstance(cell, str):
         # spreadsheets run what begins so
         return f"'{cell}" if cell[:1] in ("=", "+", "-", "@") else cell
-    return None if cell is None or not math.isfinite(cell) else cell
+    return None if cell is None or math.isnan(cell) else cell
 
 
 COLUMNS = (
@@ -185,7 +185,7 @@ def study_table(result: Any, bound: Any, seconds: dict[str, float] | None) -> Ta
 
     Columns: RMSE (root of the mean over time and runs of the squared 2-norm) with its standard error; RMSE of the median run; difference to
     the first filter on the same runs, with its standard error; bias (2-norm of the error averaged over time and runs); NEES / dim (1 for a
-    filter whose covariances are right); ratio to the bound; lost runs; seconds per step. Where runs are lost, "RMSE" and "median" are over
+    filter whose covariances are right, infinite where one was certain and wrong); ratio to the bound; lost runs; seconds per step. Where runs are lost, "RMSE" and "median" are over
     all runs, and there is a further column "kept" with the RMSE of those that are not lost; difference, bias, NEES and ratio are over runs
     that are not lost then (by neither of the two, for the difference).
 
