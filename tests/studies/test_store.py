@@ -203,6 +203,22 @@ def test_damage_to_the_ledger_is_found_or_harmless(store, finished):
     assert found >= 10
 
 
+@pytest.mark.parametrize("table", ["field", "part", "block"])
+def test_rows_that_vanish_are_missed(store, table):
+    """A page that claims one row less than it holds; what it still shows is well formed."""
+    with sqlite3.connect(store / LEDGER) as ledger:
+        page = ledger.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()[0]
+        size = ledger.execute("PRAGMA page_size").fetchone()[0]
+    ledger.close()
+    data = bytearray((store / LEDGER).read_bytes())
+    place = (page - 1) * size + 3
+    data[place : place + 2] = (int.from_bytes(data[place : place + 2]) - 1).to_bytes(2)
+    (store / LEDGER).write_bytes(data)
+    with pytest.raises(FileError) as error:
+        mo.study(experiment(), store=store)
+    refused(error, LEDGER, "an undamaged ledger")
+
+
 @pytest.mark.parametrize("rest", [b"", b"this is no ledger at all, and never was one " * 99])
 def test_a_lost_ledger_is_named(store, rest):
     (store / LEDGER).write_bytes(rest)

@@ -40,6 +40,7 @@ def test_runs_are_paired_and_can_be_repeated_one_by_one(result):
             nees = [[e[i] @ np.linalg.solve(c[np.ix_(i, i)], e[i]) for i in ([0], [1, 0])] for e, c in zip(errors, covs, strict=True)]
             np.testing.assert_allclose(result.nees[place, number], nees, rtol=2e-4)
     assert len({truth.tobytes() for truth in result.truth}) == 10
+    assert len({jax.random.key_data(key).tobytes() for number in range(10) for key in plan.keys(number)}) == 20
 
 
 def test_further_filters_runs_and_another_order_change_nothing(result):

@@ -1,6 +1,5 @@
 """`motes doctor`: what a report of a problem should say of this machine."""
 
-import os
 import platform
 import re
 import sys
@@ -30,11 +29,12 @@ def report() -> Iterator[tuple[str, str]]:
 
     from motes.core.engine import chosen
     from motes.native import blocks, compile
+    from motes.studies.run import processors
 
     yield "motes", metadata.version("motes")
     yield "python", f"{platform.python_version()} ({sys.executable})"
     yield "system", f"{platform.system()} {platform.release()} {platform.machine()}"
-    yield "processors", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
+    yield "processors", str(processors())
     yield "devices", _devices()
     yield "precision", {"float64": "float64"}.get(str(jax.numpy.result_type(float)), "float32 (set JAX_ENABLE_X64=1 for float64)")
     for kind in ("compiled", "native"):

@@ -1,9 +1,11 @@
 """What a worker does: some runs of one filter.
 
 A run is computed in the same way wherever and with whatever others it is computed, so that its bits do not depend on chunks, workers or
-interruptions. On a CPU each run is one call of a compiled program, and threads work on several runs at once, since JAX leaves the
-interpreter free meanwhile: on two cores this was 1.6 times as fast as a batch of runs (`vmap`) and as one run after the other. On an
-accelerator runs go in batches of a fixed width; a run keeps its place in its batch, and what is not asked for is thrown away.
+interruptions. On a CPU each run is a call of its own, and threads work on several runs at once, since JAX leaves the interpreter free
+meanwhile. Batches (`vmap`) of 5 or 20 runs, `lax.map` and single calls all took 13 to 18 ms of processor time per run (radar model, 2 000
+particles, 100 steps, two cores); single calls keep every core busy, and their bits depend on nothing, while those of a batch change with
+its width. On an accelerator runs go in batches of a fixed width; a run keeps its place in its batch, and what is not asked for is thrown
+away.
 """
 
 import importlib
