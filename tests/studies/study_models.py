@@ -14,12 +14,13 @@ def bent(x, u, t):
     return jnp.stack([x[0] + 0.2 * x[0] ** 2, x[0] * x[1]])
 
 
-def model(gain=1.0, noise=0.4):
-    """Two states, a bent sensor with Laplacian noise."""
+def model(gain=1.0, noise=0.4, offsets=(0.1, 0.0)):
+    """Two states, a bent sensor with Laplacian noise; the gain is a number, the offsets are an array inside of a function."""
+    offsets = jnp.array(offsets)
     return mo.StateSpaceModel(
         mo.Gaussian([1.0, -0.5], [[1.0, 0.3], [0.3, 0.8]]),
         mo.LinearGaussian(A, Q),
-        mo.AdditiveNoise(lambda x, u, t: gain * bent(x, u, t), mo.Laplace([noise, 0.7])),
+        mo.AdditiveNoise(lambda x, u, t: gain * bent(x, u, t) + offsets, mo.Laplace([noise, 0.7])),
         ("a", "b"),
     )
 

@@ -70,7 +70,7 @@ def test_particles_for_time():
     (("sought", "place", -1.0, (2, 9)), "particles_for_rmse target: expected a positive RMSE or the name of another filter, got -1.0"),
     (("sought", "place", 1.0, (9, 9)), "particles_for_rmse between: expected two whole numbers"),
     (("grid", "place", 1.0, (2, 9)), "expected a filter with a number of particles n, got PointMassFilter"),
-    (("sought", "place", 9.0, (20, 40)), "between: expected numbers with RMSEs above and below 9.0, got RMSEs 6.697 at 20 and"),
+    (("sought", "place", 9.0, (20, 40)), "between: expected numbers with RMSEs above and below 9, got RMSEs 6.697 at 20 and"),
 ])
 def test_refusals(known, arguments, message):
     plan = experiment(filters={"sought": mo.ParticleFilter(n=7), "grid": mo.PointMassFilter((0.0, 0.0), (1.0, 1.0), (5, 5))})

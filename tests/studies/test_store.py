@@ -129,10 +129,10 @@ def test_another_experiment_is_refused_by_what_differs(store, name):
 
 def test_another_model_is_refused_by_its_part(store):
     plan = experiment()
-    for other, named in ((model(gain=1.001), "another model sensor."), (model(noise=0.41), "another model sensor.")):
+    for other in (model(gain=1.001), model(noise=0.41), model(offsets=(0.1, 1e-6))):
         with pytest.raises(FileError) as error:
             mo.study(mo.Experiment(other, plan.filters, 7, 10, 3, blocks=dict(plan.blocks)), store=store)
-        refused(error, named)
+        refused(error, "another model sensor.")
     assumed = {"first": (plan.filters["first"], plan.model)} | {"second": plan.filters["second"]}
     with pytest.raises(FileError, match="another filter 'first'"):
         mo.study(experiment(filters=assumed), store=store)

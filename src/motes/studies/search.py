@@ -67,6 +67,7 @@ def particles_for_rmse(
         MotesError: a name is unknown, the filter has no n, or the target does not lie between the RMSEs at the two ends.
     """
     own, against = _checked(experiment, filter, block, target, between)
+    goal = accuracy(against).rmse if isinstance(target, str) else target
     trials: dict[int, Trial] = {}
 
     def tried(n: int) -> Trial:
@@ -75,15 +76,14 @@ def particles_for_rmse(
         result = study(replace(experiment, filters={filter: sized}), progress=False)
         squared = result.squared_errors(block)[0]
         found = accuracy(squared)
-        excess = (found.rmse - target, found.error) if against is None else difference(squared, against)
+        excess = (found.rmse - goal, found.error) if against is None else difference(squared, against)
         trials[n] = Trial(n, found.rmse, *excess)
         return trials[n]
 
     low, high = between
     first, last = tried(low), tried(high)
     if not first.excess > 0 > last.excess:
-        goal = target if against is None else f"{accuracy(against).rmse:.4g}"
-        checks.refuse("particles_for_rmse between", f"numbers with RMSEs above and below {goal}",
+        checks.refuse("particles_for_rmse between", f"numbers with RMSEs above and below {goal:.4g}",
                       f"RMSEs {first.rmse:.4g} at {low} and {last.rmse:.4g} at {high}", "Give a wider range.")
     while high > low * (1 + precision) and high - low > 1:
         middle = tried(min(max(round(math.sqrt(low * high)), low + 1), high - 1))

@@ -185,9 +185,9 @@ def study_table(result: Any, bound: Any, seconds: dict[str, float] | None) -> Ta
 
     Columns: RMSE (root of the mean over time and runs of the squared 2-norm) with its standard error; RMSE of the median run; difference to
     the first filter on the same runs, with its standard error; bias (2-norm of the error averaged over time and runs); NEES / dim (1 for a
-    filter whose covariances are right, infinite where one was certain and wrong); ratio to the bound; lost runs; seconds per step. Where runs are lost, "RMSE" and "median" are over
-    all runs, and there is a further column "kept" with the RMSE of those that are not lost; difference, bias, NEES and ratio are over runs
-    that are not lost then (by neither of the two, for the difference).
+    filter whose covariances are right, infinite where one was certain and wrong); ratio to the bound; lost runs; seconds per step. Where
+    runs are lost, "RMSE" and "median" are over all runs, and there is a further column "kept" with the RMSE of those that are not lost;
+    difference, bias, NEES and ratio are over runs that are not lost then (by neither of the two, for the difference).
 
     Args:
         result: the study.
