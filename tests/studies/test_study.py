@@ -108,7 +108,7 @@ def test_engine_and_precision_reach_the_threads(monkeypatch):
         return {"x": jnp.full(3, engine.chosen() == "native")}
 
     with jax.enable_x64(True):
-        found = mo.study(experiment(runs=2))
+        found = mo.study(experiment(runs=2, filters={"first": mo.ParticleFilter(n=9)}))
     assert found.truth.dtype == found.estimates.dtype == found.nees.dtype == np.float64 and dict(found.provenance)["float"] == "float64"
     monkeypatch.setattr("motes.studies.work.one_run", seen)
     with mo.engine("native"):

@@ -53,16 +53,34 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         os.replace(temporary, path)
         temporary = None
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        _force(path.parent)
     except OSError as reason:
         refuse(str(path), "a file that can be written", reason.strerror or str(reason), error=FileError)
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def durable_folder(path: Path) -> None:
+    """Make a folder, and those above it, where they are missing, so that not even a loss of power takes them.
+
+    Raises:
+        OSError: it cannot be made, or is a file.
+    """
+    if path.is_dir():
+        return
+    durable_folder(path.parent)
+    path.mkdir(exist_ok=True)
+    _force(path.parent)
+
+
+def _force(folder: Path) -> None:
+    """Force the names in a folder to disk."""
+    opened = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(opened)
+    finally:
+        os.close(opened)
 
 
 def _name(path: tuple[Any, ...]) -> str:

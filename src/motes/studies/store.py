@@ -94,7 +94,7 @@ class Store:
         self.folder, self._lock = folder, None
         if write:
             with foreign(folder, "a folder that can be written"):
-                folder.mkdir(parents=True, exist_ok=True)
+                archive.durable_folder(folder.absolute())
                 self._lock = _locked(folder)
         try:
             self._ledger = _opened(folder, write)
