@@ -1,4 +1,7 @@
 from . import filters as filters
+from .bounds.bound import Bound as Bound
+from .bounds.kalman_at_truth import kalman_at_truth as kalman_at_truth
+from .bounds.posterior_cramer_rao import posterior_cramer_rao as posterior_cramer_rao
 from .core.checks import CollapseError as CollapseError
 from .core.checks import FileError as FileError
 from .core.checks import MissingExtraError as MissingExtraError
