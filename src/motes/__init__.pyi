@@ -6,6 +6,15 @@ from .core.checks import CollapseError as CollapseError
 from .core.checks import FileError as FileError
 from .core.checks import MissingExtraError as MissingExtraError
 from .core.checks import MotesError as MotesError
+from .costs.calibrate import Calibration as Calibration
+from .costs.calibrate import calibrate as calibrate
+from .costs.complexity import Costs as Costs
+from .costs.complexity import complexity as complexity
+from .costs.complexity import equivalent_particles as equivalent_particles
+from .costs.complexity import particle_ratio as particle_ratio
+from .costs.measure import StepTime as StepTime
+from .costs.measure import fit_step_time as fit_step_time
+from .costs.measure import seconds_per_step as seconds_per_step
 from .filters import keep as keep
 from .filters.explain import Explanation as Explanation
 from .filters.explain import explain as explain

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 COMMANDS = {
     "demo": "run a demonstration: terrain (the default) or robot",
     "run": "run a filter on your own map and measurements, as a TOML file says",
+    "calibrate": "measure what the parts of a filter cost on this machine",
     "doctor": "print versions, devices and precision",
 }
 
