@@ -83,6 +83,17 @@ def test_both_forms_of_the_recursion_agree(double):
         assert errors(found, kalman_cov(replace(model, initial=start), 15)) < 1e-10
 
 
+def test_noise_that_depends_on_the_state_is_seen_where_the_slope_is_constant(double):
+    """One step from a known law: J' = E[1/Q] - (a E[1/Q])^2 / (1/P + a^2 E[1/Q] + E[(Q'/Q)^2] / 2), with Q = exp(x), so Q'/Q = 1."""
+    dynamics, sensor = mo.LinearGaussian([[0.7]], lambda x, u, t: jnp.exp(x)[:, None]), mo.LinearGaussian([[1.0]], [[1e6]])
+    model = mo.StateSpaceModel(mo.Gaussian([0.2], [[0.25]]), dynamics, sensor)
+    precision = np.exp(-0.2 + 0.25 / 2)
+    exact = precision - (0.7 * precision) ** 2 / (4 + 0.49 * precision + 0.5)
+    found = mo.posterior_cramer_rao(0, model, 2, 400_000).cov[1, 0, 0]
+    # the mean of exp(-x) over the draws has a relative standard deviation of 0.53 / 630
+    assert abs(1 / found / exact - 1) < 4.9 * 0.53 / np.sqrt(400_000) + 1e-5
+
+
 # ---- a scalar model in which everything is nonlinear, against scores integrated on grids ----
 
 START, SPREAD = 0.7, 0.8

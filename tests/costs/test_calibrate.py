@@ -132,11 +132,17 @@ def test_command(machine, capsys, tmp_path):
 
 
 def test_times_are_the_least_and_wait_for_the_results(monkeypatch):
-    clock = iter([0.0, 3.0, 10.0, 11.0, 20.0, 22.0])
-    monkeypatch.setattr("motes.costs.measure.time.perf_counter", lambda: next(clock))
     calls = []
-    assert least_seconds(lambda: calls.append(1) or jnp.ones(3), repeats=3) == 1.0
-    assert len(calls) == 4
+
+    def least_of(durations, repeats):
+        ticks = iter(np.cumsum([0.0, *(tick for duration in durations for tick in (duration, 9.0))]))
+        monkeypatch.setattr("motes.costs.measure.time.perf_counter", lambda: next(ticks))
+        calls.clear()
+        return least_seconds(lambda: calls.append(1) or jnp.ones(3), repeats)
+
+    assert least_of([3.0, 1.0, 2.0, 0.5], 3) == pytest.approx(1.0) and len(calls) == 4
+    # short calls are repeated longer, until 0.2 s have passed
+    assert least_of([0.06, 0.05, 0.06, 0.07, 0.01], 2) == pytest.approx(0.05) and len(calls) == 5
 
 
 @pytest.fixture

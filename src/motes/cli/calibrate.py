@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from motes.cli.compiled import keep_programs
 from motes.cli.options import from_flags
 
-MEANINGS = {"c1": "likelihood of one particle", "c2": "resampling of one particle", "c3": "one normal number"}
+MEANINGS = {"c1": "a likelihood", "c2": "a resampling", "c3": "a normal number"}
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def main(words: Sequence[str]) -> None:
         warnings.showwarning = lambda message, *rest, **more: print(f"motes calibrate: {message}", file=sys.stderr)
         found = calibrate(refresh=settings.refresh)
     paper = Costs.paper()
-    rows = [(f"{name}: {MEANINGS[name]}", f"{slope.value:.1f}", f"{slope.low:.1f} to {slope.high:.1f}", f"{slope.r_squared:.3f}",
+    rows = [(f"{name}, {MEANINGS[name]}", f"{slope.value:.1f}", f"{slope.low:.1f} to {slope.high:.1f}", f"{slope.r_squared:.3f}",
              f"{getattr(paper, name):.0f}") for name, slope in found.equivalent_flops.items()]
     show(f"equivalent flops on {found.device}, engine {found.engine}", ("operation", "here", "95% interval", "R squared", "paper"), rows)
     print(f"one flop takes {1e9 * found.flop.value:.3f} ns ({1e9 * found.flop.low:.3f} to {1e9 * found.flop.high:.3f} ns).")

@@ -41,7 +41,6 @@ from motes.resampling.schemes import Systematic
 
 PARTICLES = (2_000, 5_000, 8_000, 12_000, 16_000, 20_000)
 ROUNDS = 50
-REPEATS = 30
 CONFIDENCE = 0.95
 PARTS = ("flop", "likelihood", "resampling", "normal")
 
@@ -195,7 +194,7 @@ def _measured(name: str, operations: list[Operation]) -> Slope:
         for n in PARTICLES:
             args = [jnp.asarray(np.asarray(arg)[..., :n]) if arg.shape[-1] == max(PARTICLES) else arg for arg in operation.args]
             units.append(n * operation.units)
-            seconds.append(least_seconds(lambda compiled=compiled, args=args: compiled(*args), REPEATS))
+            seconds.append(least_seconds(lambda compiled=compiled, args=args: compiled(*args)))
     slope = Slope.fitted(units, seconds)
     if slope.value <= 0:
         checks.refuse(f"calibrate {name}", "times that grow with the number of particles", f"a slope of {slope.value:.3g} s",

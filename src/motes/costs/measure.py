@@ -18,6 +18,8 @@ from motes.filters.interface import Filter
 from motes.filters.run import run
 
 REPEATS = 7
+SPAN = 0.2
+"""Seconds over which a call is repeated at least: a neighbor on the machine that disturbs for a moment does not spoil all of its times."""
 PARTICLES = (500, 4_000, 20_000)
 
 
@@ -74,10 +76,10 @@ class StepTime:
 
 
 def least_seconds(call: Callable[[], Any], repeats: int = REPEATS) -> float:
-    """Return the least time that a call takes, results waited for; it is called once before, to be compiled and warm."""
+    """Return the least time that a call takes, results waited for, of so many calls or more; one before compiles and warms."""
     jax.block_until_ready(call())
     times = []
-    for _ in range(repeats):
+    while len(times) < repeats or sum(times) < SPAN:
         began = time.perf_counter()
         jax.block_until_ready(call())
         times.append(time.perf_counter() - began)
@@ -94,7 +96,7 @@ def seconds_per_step(filter: Filter, model: Any, ys: jax.Array, inputs: Inputs =
         model: state-space or mixed linear model.
         ys: measurements `(t, y)`, at least two; the more, the less the clock matters.
         inputs: tree with the time axis first, or None.
-        repeats: runs of which the fastest counts.
+        repeats: runs of which the fastest counts, at least.
 
     Raises:
         MotesError: there are too few measurements, or `run` refuses something.
@@ -125,7 +127,7 @@ def fit_step_time(
         ys: measurements `(t, y)`, at least two.
         inputs: tree with the time axis first, or None.
         particles: different numbers of particles, at least two.
-        repeats: runs of which the fastest counts, each time.
+        repeats: runs of which the fastest counts, at least, each time.
 
     Raises:
         MotesError: the filter has no particles, or what `seconds_per_step` raises.
