@@ -20,7 +20,7 @@ from motes.filters.run import run
 REPEATS = 7
 SPAN = 0.2
 """Seconds over which a call is repeated at least: a neighbor on the machine that disturbs for a moment does not spoil all of its times."""
-PARTICLES = (500, 4_000, 20_000)
+PARTICLES = (1_000, 4_000, 12_000)
 
 
 @record
