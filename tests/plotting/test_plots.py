@@ -43,6 +43,17 @@ def test_wrong_results_are_refused(history):
     with pytest.raises(mo.MotesError) as error:
         mo.plot(history, truth=np.zeros((3, 2)))
     refused(error, "plot truth", "(12, 2)")
+    with pytest.raises(mo.MotesError) as error:
+        mo.plot(mo.Bound(jnp.ones((3, 1, 1)), ("px",), "some bound"), truth=np.zeros((3, 1)))
+    refused(error, "plot truth", "Bound")
+
+
+def test_bound():
+    covs = np.stack([np.diag([4.0, 9.0]), np.diag([1.0, 16.0])])
+    figure = mo.plot(mo.Bound(jnp.asarray(covs), ("px", "py"), "some bound"))
+    assert [axes.get_title() for axes in figure.axes] == ["px", "py"] and figure.get_suptitle() == "some bound"
+    np.testing.assert_allclose(figure.axes[1].lines[0].get_ydata(), [3, 4])
+    assert png(figure)[:4] == b"\x89PNG"
 
 
 def test_no_global_state(history):

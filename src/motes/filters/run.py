@@ -18,7 +18,7 @@ from motes.filters.interface import Filter, Info, as_state_space
 from motes.laws.conditional import Conditional
 from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.mixed_linear import MixedLinearModel
-from motes.models.state_space import Previous, StateSpaceModel, decorrelated, measurement_size, step_inputs
+from motes.models.state_space import Previous, StateSpaceModel, check_inputs, decorrelated, measurement_size, step_inputs
 from motes.native import report
 
 Keep = Callable[[Any], dict[str, Any]]
@@ -193,9 +193,7 @@ def checked_measurements(filter: Filter, model: Any, ys: Any, inputs: Inputs) ->
     if ys.ndim != 2 or ys.shape[0] == 0:
         hint = "Write ys[:, None] for one measured component." if ys.ndim == 1 else ""
         checks.refuse("ys", "shape (t, y) with at least one step", f"shape {ys.shape}", hint)
-    lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(inputs)}
-    if lengths - {ys.shape[0]}:
-        checks.refuse("inputs", f"arrays with the time axis first, {ys.shape[0]} steps as ys", f"first axes {sorted(map(str, lengths))}")
+    check_inputs(inputs, ys.shape[0], "ys")
     if isinstance(model, StateSpaceModel) and not model.sensor.marginalizes and checks.is_concrete(ys):
         missing = np.isnan(np.asarray(ys))
         some = missing.any(axis=1) & ~missing.all(axis=1)

@@ -12,7 +12,7 @@ from motes.laws.gaussian import Correction, Gaussian
 
 def affine(part: Conditional, x: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return the value at x `(z,)`, the slope `(z, x)` and the noise covariance `(z, z)`; exact where the conditional is linear."""
-    if isinstance(part, LinearGaussian):
+    if isinstance(part, LinearGaussian) and not callable(part.A):  # a function may depend on x, and then has a slope of its own
         slope = matrix(part.A, x, u, t)
         return slope @ x, slope, part.cov(x, u, t)
     return part.mean(x, u, t), jax.jacfwd(lambda x: part.mean(x, u, t))(x), part.cov(x, u, t)

@@ -11,7 +11,7 @@ from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.laws.conditional import Custom
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import Previous, StateSpaceModel, decorrelated, step_inputs
+from motes.models.state_space import Previous, StateSpaceModel, check_inputs, decorrelated, step_inputs
 
 
 def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:
@@ -27,9 +27,10 @@ def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tup
         States `(t, x)` and measurements `(t, y)`.
 
     Raises:
-        MotesError: steps is not a positive whole number, or the model does not fit together.
+        MotesError: steps is not a positive whole number, or inputs and model do not fit together.
     """
     checks.positive_integer("simulate steps", steps)
+    check_inputs(inputs, steps, "steps")
     key = random.as_key(key)
     return _simulate(key, _drawn_from(model, inputs), steps, inputs)
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, linalg
 from motes.core.record import record, replace, static
@@ -79,11 +80,7 @@ class StateSpaceModel:
         Raises:
             MotesError: there is no such state.
         """
-        if isinstance(state, str) and state in self.names:
-            return self.names.index(state)
-        if not isinstance(state, str) and -self.size <= state < self.size:
-            return int(state) % self.size
-        checks.refuse("state", f"one of the names {', '.join(self.names)} or an index below {self.size}", repr(state))
+        return index_of(state, self.names)
 
     def check(self, inputs_of_step: Inputs) -> None:
         """Run dynamics and sensor on shapes alone and refuse what does not fit.
@@ -100,6 +97,19 @@ class StateSpaceModel:
                 function = getattr(part, "f")  # noqa: B009
                 found = jax.eval_shape(lambda x, u, t, f=function: jnp.asarray(f(x, u, t)), x, inputs_of_step, t).shape
                 checks.shape(f"{name} f(x, u, t)", jnp.zeros(found), (expected,))
+
+
+def index_of(state: str | int, names: tuple[str, ...]) -> int:
+    """Return the index of a state given by name or index.
+
+    Raises:
+        MotesError: there is no such state.
+    """
+    if isinstance(state, str) and state in names:
+        return names.index(state)
+    if not isinstance(state, str) and -len(names) <= state < len(names):
+        return int(state) % len(names)
+    checks.refuse("state", f"one of the names {', '.join(names)} or an index below {len(names)}", repr(state))
 
 
 def _check_moments(name: str, part: AdditiveGaussian, x: Any, u: Any, t: Any, expected: int | None) -> None:
@@ -182,3 +192,16 @@ def measurement_size(model: StateSpaceModel, inputs_of_step: Inputs) -> int | No
 def step_inputs(inputs: Inputs, step: jax.Array | int) -> Inputs:
     """Return the inputs of one step from a tree with the time axis first."""
     return jax.tree.map(lambda leaf: leaf[step], inputs)
+
+
+def check_inputs(inputs: Inputs, steps: int, like: str) -> None:
+    """Refuse inputs that do not have one row per step.
+
+    Args:
+        inputs: tree with the time axis first, or None.
+        steps: number of steps.
+        like: the argument that gives the number of steps.
+    """
+    lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(inputs)}
+    if lengths - {steps}:
+        checks.refuse("inputs", f"arrays with the time axis first, {steps} steps as {like}", f"first axes {sorted(map(str, lengths))}")

@@ -42,12 +42,13 @@ def compiler() -> str | None:
 def _surroundings() -> bytes:
     """What decides the machine code besides the source: compiler, processor, headers."""
     version = subprocess.run([_required(), "--version"], capture_output=True, timeout=SECONDS, check=False).stdout
-    parts = [version, " ".join((*FLAGS, *_wide())).encode(), platform.machine().encode(), _processor(), jax.__version__.encode()]
+    parts = [version, " ".join((*FLAGS, *_wide())).encode(), platform.machine().encode(), processor(), jax.__version__.encode()]
     parts += [path.read_bytes() for path in sorted(HEADERS.glob("*.hpp"))]
     return b"\0".join(parts)
 
 
-def _processor() -> bytes:
+def processor() -> bytes:
+    """Return what tells this kind of processor from others."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -57,7 +58,7 @@ def _processor() -> bytes:
 
 def _wide() -> tuple[str, ...]:
     """Compilers use half of the widest registers unless told otherwise."""
-    return ("-mprefer-vector-width=512",) if b"avx512f" in _processor() else ()
+    return ("-mprefer-vector-width=512",) if b"avx512f" in processor() else ()
 
 
 def _required() -> str:

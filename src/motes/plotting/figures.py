@@ -1,11 +1,13 @@
 """What all pictures share: figures without a window or global state, and colors that also color-blind readers tell apart."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from motes.core.checks import need
 
 TRUE, ESTIMATE, INERTIAL, OTHER = "#111111", "#0072b2", "#d55e00", "#009e73"
 COLORS = (ESTIMATE, INERTIAL, OTHER, "#cc79a7", "#e69f00", "#56b4e9")
+COLUMNS = 3
 
 
 def new_figure(width: float, height: float) -> Any:
@@ -30,3 +32,26 @@ def tidy(axes: Any) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True, color="0.9", linewidth=0.8)
     axes.set_axisbelow(True)
+
+
+def state_panels(names: Sequence[str], wide: bool = False) -> tuple[Any, list[Any]]:
+    """Return a figure and its axes over time: one titled panel per state, up to three in a row, and perhaps a wide one under them."""
+    columns = min(COLUMNS, len(names))
+    state_rows = -(-len(names) // columns)
+    rows = state_rows + wide
+    figure = new_figure(4.0 * columns, 2.1 * rows + 0.6)
+    grid = figure.add_gridspec(rows, columns)
+    for state, name in enumerate(names):
+        figure.add_subplot(grid[state // columns, state % columns]).set_title(name, fontsize=10)
+    if wide:
+        figure.add_subplot(grid[state_rows, :])
+    for axes in figure.axes:
+        tidy(axes)
+    figure.axes[-1].set_xlabel("step")
+    return figure, figure.axes
+
+
+def over_steps(figure: Any, first: int, last: int) -> None:
+    """Let all axes of a figure show the same steps."""
+    for axes in figure.axes:
+        axes.set_xlim(first, max(last, first + 1))

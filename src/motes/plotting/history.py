@@ -6,9 +6,7 @@ import numpy as np
 
 from motes.core import checks
 from motes.filters.history import History
-from motes.plotting.figures import ESTIMATE, TRUE, legend_below, new_figure, tidy
-
-COLUMNS = 3
+from motes.plotting.figures import ESTIMATE, TRUE, legend_below, over_steps, state_panels
 
 
 def history_figure(history: History, truth: Any = None) -> Any:
@@ -28,31 +26,22 @@ def history_figure(history: History, truth: Any = None) -> Any:
     # rounding may leave a variance of a certain state a little below zero
     deviations = np.sqrt(np.maximum(np.diagonal(covs, axis1=1, axis2=2), 0))
     ess = np.asarray(history.ess)
-    columns = min(COLUMNS, len(history.names))
-    state_rows = -(-len(history.names) // columns)
-    rows = state_rows + bool(np.isfinite(ess).any())
-    figure = new_figure(4.0 * columns, 2.1 * rows + 0.6)
-    grid = figure.add_gridspec(rows, columns)
+    sampled = bool(np.isfinite(ess).any())
+    figure, panels = state_panels(history.names, wide=sampled)
     steps = int(history.start) + np.arange(means.shape[0])
-    for state, name in enumerate(history.names):
-        axes = figure.add_subplot(grid[state // columns, state % columns])
+    for state, axes in enumerate(panels[: len(history.names)]):
         _state(axes, steps, means[:, state], deviations[:, state], None if truth is None else truth[:, state])
-        axes.set_title(name, fontsize=10)
-    legend_below(figure, axes, 3)
-    if rows > state_rows:
-        axes = figure.add_subplot(grid[state_rows, :])
-        tidy(axes)
+    legend_below(figure, panels[0], 3)
+    if sampled:
+        axes = panels[-1]
         axes.plot(steps, ess, color=ESTIMATE, linewidth=0.9)
         axes.set_ylim(bottom=0)
         axes.set_title("effective sample size", fontsize=10)
-    for axes in figure.axes:
-        axes.set_xlim(steps[0], max(steps[-1], steps[0] + 1))
-    figure.axes[-1].set_xlabel("step")
+    over_steps(figure, steps[0], steps[-1])
     return figure
 
 
 def _state(axes: Any, steps: np.ndarray, mean: np.ndarray, deviation: np.ndarray, truth: np.ndarray | None) -> None:
-    tidy(axes)
     axes.fill_between(steps, mean - 2 * deviation, mean + 2 * deviation, color=ESTIMATE, alpha=0.22, linewidth=0, label="2 sigma")
     axes.plot(steps, mean, color=ESTIMATE, linewidth=1.4, label="mean")
     if truth is not None:

@@ -2,8 +2,10 @@
 
 from typing import Any
 
+from motes.bounds.bound import Bound
 from motes.core import checks
 from motes.filters.history import History
+from motes.plotting.bound import bound_figure
 from motes.plotting.history import history_figure
 from motes.plotting.study import study_figure
 from motes.studies.result import StudyResult
@@ -13,7 +15,7 @@ def plot(result: Any, truth: Any = None, bound: Any = None) -> Any:
     """Draw a result.
 
     Args:
-        result: a `History` that kept means and covariances, or a `StudyResult`.
+        result: a `History` that kept means and covariances, a `Bound`, or a `StudyResult`.
         truth: true states `(t, x)`, to draw beside the estimates of a history.
         bound: with `cov` `(t, x, x)`, to draw beside the errors of a study.
 
@@ -26,6 +28,10 @@ def plot(result: Any, truth: Any = None, bound: Any = None) -> Any:
     """
     if isinstance(result, History):
         return history_figure(result, truth)
+    if isinstance(result, Bound):
+        if truth is not None:
+            checks.refuse("plot truth", "none beside a Bound", type(truth).__name__)
+        return bound_figure(result)
     if isinstance(result, StudyResult):
         return study_figure(result, bound)
-    checks.refuse("plot result", "a History or a StudyResult", type(result).__name__)
+    checks.refuse("plot result", "a History, a Bound or a StudyResult", type(result).__name__)

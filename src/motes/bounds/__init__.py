@@ -1,0 +1,1 @@
+"""Rank 5: how good any filter could be."""

@@ -1,0 +1,68 @@
+"""The Kalman filter that knows the slopes of the model along one true track.
+
+P <- F P F' + Q with F and Q at the true x_{t-1}, then P <- P - P H' (H P H' + R)^-1 H P with H and R at the true x_t; y_0 included.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.bounds.bound import Bound
+from motes.core import checks
+from motes.core.types import Inputs
+from motes.filters.interface import as_state_space
+from motes.laws.gaussian import Gaussian
+from motes.models import linearize
+from motes.models.canonical import canonical, one_of
+from motes.models.state_space import StateSpaceModel, check_inputs, step_inputs
+
+KIND = "Kalman filter at the true track"
+
+
+def kalman_at_truth(model: Any, xs: jax.Array, inputs: Inputs = None) -> Bound:
+    """Covariance of the linear Kalman filter with Jacobians taken at one given track.
+
+    The yardstick for runs that share a fixed track, for which the posterior Cramer-Rao bound, an average over tracks, says nothing. It is
+    no strict bound: a filter can use what linearization leaves out, and can be lucky with a track that its prior favors.
+
+    Pure: it can be jitted, vmapped (over tracks and array fields of models) and differentiated.
+
+    Args:
+        model: state-space or mixed linear model whose noises have covariances and are independent of each other.
+        xs: the track, `(t, x)`.
+        inputs: tree with the time axis first, or None.
+
+    Raises:
+        MotesError: track, inputs and model do not fit each other, or the model has no Jacobian.
+    """
+    given = as_state_space("kalman_at_truth", model)
+    for name in ("dynamics", "sensor"):
+        part = getattr(given, name)
+        if not linearize.has_moments(part):
+            checks.refuse(f"kalman_at_truth {name}", "a mean function and a noise covariance (it uses the Jacobian)", type(part).__name__)
+    if given.noise_cross_cov is not None:
+        checks.refuse("kalman_at_truth model", "independent process and measurement noise", "noise_cross_cov")
+    xs = checks.as_float("kalman_at_truth xs", xs).astype(given.dtype)
+    checks.shape("kalman_at_truth xs", xs, (None, given.size), "(steps, states)")
+    check_inputs(inputs, xs.shape[0], "xs")
+    return Bound(_covariances(canonical(model, jax.tree.map(one_of, inputs)), xs, inputs), given.names, KIND)
+
+
+@jax.jit
+def _covariances(given: Any, xs: jax.Array, inputs: Inputs) -> jax.Array:
+    model: StateSpaceModel = as_state_space("kalman_at_truth", given)
+    model.check(step_inputs(inputs, 0))
+
+    def measure(cov: jax.Array, t: Any) -> jax.Array:
+        prediction, H, R = linearize.affine(model.sensor, xs[t], step_inputs(inputs, t), t)
+        return Gaussian(xs[t], cov).corrected(jnp.zeros_like(prediction), H, R).law.covariance
+
+    def advance(cov: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        ahead = linearize.moved(model.dynamics, Gaussian(xs[t - 1], cov), step_inputs(inputs, t), t)
+        cov = measure(ahead.covariance, t)
+        return cov, cov
+
+    first = measure(model.initial.cov(), jnp.int32(0))
+    _, rest = jax.lax.scan(advance, first, jnp.arange(1, xs.shape[0], dtype=jnp.int32))
+    return jnp.concatenate([first[None], rest])

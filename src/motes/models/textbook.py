@@ -1,0 +1,37 @@
+"""Models that papers share, with the numbers that those leave open filled in."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.laws.conditional import AdditiveGaussian, LinearGaussian
+from motes.laws.gaussian import Gaussian
+from motes.models.state_space import StateSpaceModel
+
+
+def radar_tracking(period: float = 0.5) -> StateSpaceModel:
+    """An aircraft of constant acceleration, seen by a radar in range and azimuth (paper 000, equation 13).
+
+    Position, velocity and acceleration along two axes: m, m/s, m/s^2. The paper prints neither period nor start; these are a target some
+    hundred meters away, where the azimuth of 1 mrad is sharp.
+
+    Args:
+        period: seconds between measurements.
+    """
+    A = np.eye(6)
+    for axis in (0, 1):
+        A[axis, axis + 2] = A[axis + 2, axis + 4] = period
+        A[axis, axis + 4] = period**2 / 2
+
+    def radar(x: jax.Array, u: None, t: jax.Array) -> jax.Array:
+        return jnp.stack([jnp.hypot(x[0], x[1]), jnp.arctan2(x[1], x[0])])
+
+    def diagonal(*variances: float) -> jax.Array:
+        return jnp.diag(jnp.array(variances))
+
+    return StateSpaceModel(
+        Gaussian(jnp.array([300.0, 300, 5, -5, 0, 0]), diagonal(4, 4, 16, 16, 0.04, 0.04)),
+        LinearGaussian(jnp.asarray(A, jnp.result_type(float)), diagonal(1, 1, 1, 1, 0.01, 0.01)),
+        AdditiveGaussian(radar, diagonal(100, 1e-6), angles=(1,)),
+        ("px", "py", "vx", "vy", "ax", "ay"),
+    )

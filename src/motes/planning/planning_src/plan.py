@@ -1,0 +1,151 @@
+"""Which states to marginalize and how many particles fit a clock (paper 000, section IV, for any model and machine).
+
+1. List the candidates: the plain particle filter, a marginalized one for each set of states that a Kalman filter can carry, the extended
+   Kalman filter.
+2. Time each on this machine and find how many particles fit the budget, or try how many an accuracy needs.
+3. Run all on the same tracks and measurements; drop those that are certainly worse, and give the further runs to the others.
+"""
+
+import math
+from typing import Any
+
+import jax
+import numpy as np
+
+from motes.bounds.posterior_cramer_rao import posterior_cramer_rao
+from motes.core import checks
+from motes.core.record import record, replace, static
+from motes.core.types import Inputs
+from motes.costs.calibrate import Calibration, calibrate
+from motes.costs.measure import seconds_per_step
+from motes.filters.interface import Filter
+from motes.planning.candidates import candidates, given_candidates
+from motes.planning.needed import needed
+from motes.planning.sizes import Clock, Sized
+from motes.planning.trials import FIRST_RUNS, Trial, trials
+from motes.studies.experiment import Experiment
+from motes.studies.tables import Table
+
+COLUMNS = ("filter", "n", "ms/step", "by flops", "RMSE", "s.e.", "of bound", "lost", "runs")
+
+
+@record
+class Pilot:
+    """How the planner tries candidates.
+
+    Attributes:
+        steps: length of a pilot run; that of the inputs where there are any.
+        runs: most runs for one candidate.
+        seed: of tracks, measurements and filters.
+        inputs: of the model, a tree with the time axis first; None where it takes none.
+        filters: name to filter, to choose among these instead of those that the model's structure suggests; their n is changed.
+        progress: whether to draw progress bars on the error stream; where that is a terminal, if not given.
+    """
+
+    steps: int = static(default=60)
+    runs: int = static(default=64)
+    seed: int = static(default=0)
+    inputs: Inputs = None
+    filters: dict[str, Filter] | None = None
+    progress: bool | None = static(default=None)
+
+
+@record
+class Plan:
+    """What the planner found.
+
+    Attributes:
+        choice: the filter to use.
+        seconds: predicted seconds of a step of it.
+        table: one row for each candidate, best first: milliseconds a step as measured times predict them and by the count of equivalent
+            flops; RMSE of the states that count, or of all, each in units of the best candidate's (1: best in every state).
+        measured: seconds of a step measured afterwards in a run of its own (with `verify`), else None.
+    """
+
+    choice: Filter = static()
+    seconds: float = static()
+    table: Table = static()
+    measured: float | None = static(default=None)
+
+    def __str__(self) -> str:
+        """Print the table and the choice."""
+        lines = [str(self.table), f"choice      {self.choice!r}", f"predicted   {1e3 * self.seconds:.4g} ms a step"]
+        if self.measured is not None:
+            lines.append(f"measured    {1e3 * self.measured:.4g} ms a step ({100 * (self.measured / self.seconds - 1):+.0f} percent)")
+        return "\n".join(lines)
+
+
+def plan(
+    model: Any,
+    budget: float | None = None,
+    accuracy: float | None = None,
+    states: tuple[str, ...] = (),
+    costs: Calibration | None = None,
+    verify: bool = False,
+    pilot: Pilot = Pilot(),  # noqa: B008 (a record)
+) -> Plan:
+    """Choose filter, partition and number of particles for a clock or an accuracy, on this machine and the engine in force.
+
+    Times are those of a step inside a compiled run. A machine that is busy while it is timed gives a plan with too few particles.
+
+    Args:
+        model: state-space or mixed linear model that can be simulated.
+        budget: seconds per step: as accurate as that allows.
+        accuracy: RMSE of `states` instead: as fast as that allows.
+        states: states that count, of one unit; all of them if none is named (with a budget).
+        costs: constants for the count of equivalent flops; those of `calibrate(model)` if not given.
+        verify: measure the choice once more, in a run of its own.
+        pilot: how candidates are tried.
+
+    Raises:
+        MotesError: no candidate fits the budget (the message tells the cheapest one's time) or reaches the accuracy, or an argument cannot
+            be used.
+    """
+    steps = pilot.steps if pilot.inputs is None else len(jax.tree.leaves(pilot.inputs)[0])
+    one = jax.tree.map(lambda leaf: leaf[0], pilot.inputs)
+    _check(budget, accuracy, states)
+    options = candidates(model, one) if pilot.filters is None else given_candidates(pilot.filters)
+    costs = calibrate(model, inputs=one) if costs is None else costs
+
+    def experiment(filters: dict[str, Filter], **more: Any) -> Experiment:
+        return Experiment(model, filters, steps, seed=pilot.seed, inputs=pilot.inputs, **more)
+
+    first = experiment({options[0].name: options[0].filter}, runs=FIRST_RUNS, blocks={"states that count": states} if states else None)
+    clock = Clock(model, first.drawn(0)[1], pilot.inputs, costs)
+    fitting = clock.fitting(options, budget) if budget is not None else clock.timed(needed(options, first, accuracy, clock.seconds))
+    last = experiment({name: one.filter for name, one in fitting.items()}, runs=pilot.runs)
+    found, unit = trials(last, states, pilot.progress)
+    most = max(trial.runs for trial in found.values())
+    by = (lambda name: found[name].error) if accuracy is None else (lambda name: fitting[name].seconds)
+    order = sorted(fitting, key=lambda name: (accuracy is None and found[name].runs < most, by(name)))
+    least = _least(last, unit)
+    rows = tuple(_row(name, fitting[name], found[name], least) for name in order)
+    best = fitting[order[0]]
+    measured = seconds_per_step(best.filter, model, clock.ys, pilot.inputs) if verify else None
+    return Plan(best.filter, best.seconds, Table(COLUMNS, rows), measured)
+
+
+def _check(budget: float | None, accuracy: float | None, states: tuple[str, ...]) -> None:
+    given = budget if accuracy is None else accuracy
+    if (budget is None) == (accuracy is None):
+        checks.refuse("plan", "either a budget in seconds per step or an accuracy", "both" if accuracy is not None else "neither")
+    if isinstance(given, bool) or not isinstance(given, (int, float)) or not 0 < given < math.inf:
+        checks.refuse("plan budget" if accuracy is None else "plan accuracy", "a positive number", repr(given))
+    if accuracy is not None and not states:
+        checks.refuse("plan states", "names of states of one unit, whose RMSE the accuracy is", "none")
+
+
+def _least(experiment: Experiment, unit: np.ndarray) -> float | None:
+    """Return the error that the posterior Cramer-Rao bound allows, in the units of the trials, or None where there is no bound."""
+    try:
+        bound = posterior_cramer_rao(experiment.seed, experiment.model, experiment.steps, inputs=experiment.inputs)
+    except checks.MotesError:
+        return None
+    variances = np.diagonal(np.asarray(bound.cov, np.float64), axis1=1, axis2=2).mean(axis=0)
+    return float(np.sqrt((variances / unit).sum()))
+
+
+def _row(name: str, sized: Sized, trial: Trial, least: float | None) -> tuple[str | int | float | None, ...]:
+    milliseconds = (1e3 * sized.seconds, None if sized.by_flops is None else 1e3 * sized.by_flops)
+    share = trial.error / least if least else None
+    return name, getattr(sized.filter, "n", None), *milliseconds, trial.error, trial.standard_error, share, trial.lost, trial.runs
