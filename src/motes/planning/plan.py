@@ -14,11 +14,12 @@ import numpy as np
 
 from motes.bounds.posterior_cramer_rao import posterior_cramer_rao
 from motes.core import checks
-from motes.core.record import record, replace, static
+from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.costs.calibrate import Calibration, calibrate
 from motes.costs.measure import seconds_per_step
 from motes.filters.interface import Filter
+from motes.models.simulate import simulate
 from motes.planning.candidates import candidates, given_candidates
 from motes.planning.needed import needed
 from motes.planning.sizes import Clock, Sized
@@ -27,6 +28,8 @@ from motes.studies.experiment import Experiment
 from motes.studies.tables import Table
 
 COLUMNS = ("filter", "n", "ms/step", "by flops", "RMSE", "s.e.", "of bound", "lost", "runs")
+SPAN, LONGEST = 0.04, 400
+"""Seconds that a run should last that is timed, and most steps of it."""
 
 
 @record
@@ -111,7 +114,9 @@ def plan(
         return Experiment(model, filters, steps, seed=pilot.seed, inputs=pilot.inputs, **more)
 
     first = experiment({options[0].name: options[0].filter}, runs=FIRST_RUNS, blocks={"states that count": states} if states else None)
-    clock = Clock(model, first.drawn(0)[1], pilot.inputs, costs)
+    # a step's share of what happens once a run is to be small beside the budget
+    timed = steps if pilot.inputs is not None or budget is None else int(np.clip(SPAN / budget, steps, LONGEST))
+    clock = Clock(model, simulate(pilot.seed, model, timed, pilot.inputs)[1], pilot.inputs, costs, pilot.progress)
     fitting = clock.fitting(options, budget) if budget is not None else clock.timed(needed(options, first, accuracy, clock.seconds))
     last = experiment({name: one.filter for name, one in fitting.items()}, runs=pilot.runs)
     found, unit = trials(last, states, pilot.progress)

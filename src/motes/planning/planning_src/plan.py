@@ -14,7 +14,7 @@ import numpy as np
 
 from motes.bounds.posterior_cramer_rao import posterior_cramer_rao
 from motes.core import checks
-from motes.core.record import record, replace, static
+from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.costs.calibrate import Calibration, calibrate
 from motes.costs.measure import seconds_per_step

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 
 from motes.core import checks
-from motes.core.record import replace, values
+from motes.core.record import values
 from motes.core.types import Inputs
 from motes.costs.calibrate import Calibration
 from motes.costs.complexity import complexity
