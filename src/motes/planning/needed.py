@@ -15,7 +15,9 @@ PRECISION = 0.2
 """The numbers of particles between which the answer lies may differ by this share."""
 
 
-def needed(options: list[Candidate], experiment: Experiment, target: float | None, seconds: Callable[[Candidate], float]) -> dict[str, Candidate]:
+def needed(
+    options: list[Candidate], experiment: Experiment, target: float | None, seconds: Callable[[Candidate], float]
+) -> dict[str, Candidate]:
     """Return the candidates that reach an RMSE, with the number of particles that each needs.
 
     Args:

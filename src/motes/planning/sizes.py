@@ -115,8 +115,7 @@ class Clock(NamedTuple):
     def by_flops(self, candidate: Candidate) -> float | None:
         """Predict the seconds of a step by the paper's count (equations 11 and 12), where the filter is one that it is about."""
         k, filter = len(candidate.linear), candidate.filter
-        counted = isinstance(filter, MarginalizedParticleFilter) or (isinstance(filter, ParticleFilter) and filter.proposal is None)
-        if not counted or k == self.model.size:
+        if not isinstance(filter, (MarginalizedParticleFilter, ParticleFilter)) or k == self.model.size:
             return None
         one = jax.tree.map(lambda leaf: leaf[0], self.inputs)
         mixed = k > 0 and split(self.model, candidate.linear, one).per_particle

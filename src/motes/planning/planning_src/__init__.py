@@ -1,1 +1,0 @@
-"""Rank 7: which filter, which partition, how many particles: costs and pilot studies together."""
