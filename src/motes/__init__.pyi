@@ -25,10 +25,12 @@ from .filters.interface import Filter as Filter
 from .filters.interface import Info as Info
 from .filters.interface import TwoStageFilter as TwoStageFilter
 from .filters.kalman import KalmanFilter as KalmanFilter
+from .filters.kernel import KalmanParticleKernelFilter as KalmanParticleKernelFilter
 from .filters.marginalized import MarginalizedParticleFilter as MarginalizedParticleFilter
 from .filters.marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
 from .filters.particle import ParticleFilter as ParticleFilter
 from .filters.point_mass import PointMassFilter as PointMassFilter
+from .filters.regularized import RegularizedParticleFilter as RegularizedParticleFilter
 from .filters.run import run as run
 from .filters.run import run_in_chunks as run_in_chunks
 from .filters.stream import Stream as Stream
@@ -52,6 +54,7 @@ from .models.structure import structure as structure
 from .native.choice import engine as engine
 from .plotting.plot import plot as plot
 from .report.html import report as report
+from .resampling.kernels import Regularization as Regularization
 from .resampling.policy import ESS as ESS
 from .resampling.policy import Always as Always
 from .resampling.policy import Entropy as Entropy
@@ -60,6 +63,8 @@ from .resampling.schemes import Multinomial as Multinomial
 from .resampling.schemes import Residual as Residual
 from .resampling.schemes import Stratified as Stratified
 from .resampling.schemes import Systematic as Systematic
+from .resampling.splitting import CommonKernel as CommonKernel
+from .resampling.splitting import SplitKernels as SplitKernels
 from .studies.experiment import Experiment as Experiment
 from .studies.result import StudyResult as StudyResult
 from .studies.run import study as study

@@ -121,6 +121,12 @@ def positive_integer(argument: str, value: Any) -> None:
         refuse(argument, "a whole number of at least 1", repr(value))
 
 
+def above_zero(argument: str, value: Any, top: float = float("inf")) -> None:
+    """Refuse what is not a number above zero and at most `top`, as far as it is known."""
+    if is_concrete(value) and not (np.ndim(value) == 0 and 0 < value <= top):
+        refuse(argument, "a number above 0" + ("" if top == float("inf") else f" and at most {top:g}"), value)
+
+
 def option(argument: str, value: Any, allowed: tuple[str, ...]) -> None:
     """Refuse a word that is not one of the allowed ones."""
     if value not in allowed:

@@ -12,6 +12,7 @@ import numpy as np
 from jax.lax import Precision
 
 _EXACT = Precision.HIGHEST
+_SWEEPS = 6
 
 
 def _align(a: jax.Array, b: jax.Array, small_axes: int) -> tuple[jax.Array, jax.Array]:
@@ -160,6 +161,40 @@ def _lower(columns: list[jax.Array]) -> jax.Array:
     """Put columns that start at the diagonal together as a lower triangle."""
     padded = [jnp.concatenate([jnp.zeros((j, *c.shape[1:]), c.dtype), c]) if j else c for j, c in enumerate(columns)]
     return jnp.stack(padded, axis=1)
+
+
+def unit_factor(a: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Lower L `(i, i, *n)` with ones on its diagonal and d `(i, *n)` with L diag(d) L' = A, for positive semi-definite A `(i, i, *n)`."""
+    lower = cholesky(a)
+    roots = [lower[i, i] for i in range(lower.shape[0])]
+    rows = [[jnp.ones_like(roots[i]) if i == j else lower[i, j] * _inverse_pivot(root) for j, root in enumerate(roots)]
+            for i in range(lower.shape[0])]  # fmt: skip
+    return jnp.stack([jnp.stack(row) for row in rows]), jnp.stack(roots) ** 2
+
+
+def eigen(a: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Eigenvalues `(i, *n)`, in no order, and orthonormal eigenvectors `(i, i, *n)` as columns, of symmetric A `(i, i, *n)`.
+
+    Jacobi rotations, written out: exact after one for two rows, to rounding after six sweeps up to a dozen. Meant for few rows.
+    """
+    size = a.shape[0]
+    one, zero = jnp.ones_like(a[0, 0]), jnp.zeros_like(a[0, 0])
+    A = [[a[i, j] for j in range(size)] for i in range(size)]
+    V = [[one if i == j else zero for j in range(size)] for i in range(size)]
+    pairs = [(i, j) for i in range(size) for j in range(i + 1, size)]
+    for i, j in pairs * (_SWEEPS if size > 2 else 1):
+        apart, twice = A[j][j] - A[i][i], 2 * A[i][j]
+        longest = apart**2 + twice**2
+        turned = longest > 0
+        root = jnp.sqrt(jnp.where(turned, longest, 1))
+        tangent = jnp.where(turned, jnp.where(apart < 0, -twice, twice) / (jnp.abs(apart) + root), 0)
+        cosine = 1 / jnp.sqrt(1 + tangent**2)
+        sine = tangent * cosine
+        for row in (*A, *V):
+            row[i], row[j] = cosine * row[i] - sine * row[j], sine * row[i] + cosine * row[j]
+        A[i], A[j] = ([cosine * x - sine * y for x, y in zip(A[i], A[j], strict=True)],
+                      [sine * x + cosine * y for x, y in zip(A[i], A[j], strict=True)])  # fmt: skip
+    return jnp.stack([A[i][i] for i in range(size)]), jnp.stack([jnp.stack(row) for row in V])
 
 
 def solve_lower(lower: jax.Array, b: jax.Array) -> jax.Array:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
+from motes.laws.conditional import Custom
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
 from motes.native import cloudwise
@@ -207,3 +208,25 @@ def as_state_space(asked_by: str, model: Any) -> StateSpaceModel:
     if isinstance(model, MixedLinearModel):
         return model.joined()
     checks.refuse(f"{asked_by} model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__)
+
+
+def as_particle_model(asked_by: str, model: Any, transition_density: bool) -> StateSpaceModel:
+    """Return a state-space model whose dynamics can be drawn from, and whose sensor has a density.
+
+    Args:
+        asked_by: the filter, for the message.
+        model: state-space or mixed linear model.
+        transition_density: whether the dynamics must have a density too.
+
+    Raises:
+        MotesError: one is missing, or the value is no model.
+    """
+    model = as_state_space(asked_by, model)
+    dynamics, sensor = model.dynamics, model.sensor
+    if isinstance(sensor, Custom) and sensor.density is None:
+        checks.refuse(f"{asked_by} sensor", "a log_prob (weights are likelihoods)", "Custom with sample only")
+    if isinstance(dynamics, Custom) and dynamics.sampler is None:
+        checks.refuse(f"{asked_by} dynamics", "a sample function (particles are moved by it)", "Custom with log_prob only")
+    if transition_density and isinstance(dynamics, Custom) and dynamics.density is None:
+        checks.refuse(f"{asked_by} dynamics", "a log_prob (a proposal's weights need it)", "Custom with sample only")
+    return model

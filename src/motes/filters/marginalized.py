@@ -24,6 +24,7 @@ from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.models.mixed_linear import Affine, MixedLinearModel, initial_split
 from motes.models.split import SplitModel, split
+from motes.resampling.kernels import Regularization
 from motes.resampling.policy import ESS, Policy
 from motes.resampling.schemes import Scheme, Systematic
 
@@ -37,12 +38,14 @@ class MarginalizedParticleFilter(TwoStageFilter):
         linear: states to marginalize, by name or index; None for the largest set that the model's structure allows.
         scheme: how ancestors are drawn.
         policy: when to resample, at the start of a step.
+        regularization: kernel that smooths the particle part of what was resampled (see `RegularizedParticleFilter`); None for none.
     """
 
     n: int = static()
     linear: tuple[str | int, ...] | None = static(default=None)
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
+    regularization: Regularization | None = None
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -76,8 +79,13 @@ class MarginalizedParticleFilter(TwoStageFilter):
         """Resample where needed, move the particles, then correct and predict the Kalman part."""
         keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
         example = state.particles[:, 0]
+        smooth = None
+        if self.regularization is not None and example.shape[0]:
+            smooth = self.regularization.fitted(state.log_weights, state.particles, self.policy.needed(state.log_weights))
 
         def move(noise_key: jax.Array, cloud: MarginalCloud) -> MarginalCloud:
+            if smooth is not None:
+                cloud = replace(cloud, particles=smooth(random.child(noise_key, random.NOISE), cloud.particles))
             own, other = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
             if model.drives:
                 expected = cloud.kalman.through(own.A, own.f, own.Q)

@@ -11,9 +11,9 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_state_space, evolve, reweigh, weigh
+from motes.filters.interface import Info, TwoStageFilter, as_particle_model, evolve, reweigh, weigh
 from motes.laws.cloud import Cloud
-from motes.laws.conditional import Conditional, Custom
+from motes.laws.conditional import Conditional
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import ESS, Policy, resample
 from motes.resampling.schemes import Scheme, Systematic
@@ -56,15 +56,7 @@ class ParticleFilter(TwoStageFilter):
         Raises:
             MotesError: one is missing.
         """
-        model = as_state_space("ParticleFilter", model)
-        dynamics, sensor = model.dynamics, model.sensor
-        if isinstance(sensor, Custom) and sensor.density is None:
-            checks.refuse("ParticleFilter sensor", "a log_prob (weights are likelihoods)", "Custom with sample only")
-        if isinstance(dynamics, Custom) and dynamics.sampler is None:
-            checks.refuse("ParticleFilter dynamics", "a sample function (particles are moved by it)", "Custom with log_prob only")
-        if self.proposal is not None and isinstance(dynamics, Custom) and dynamics.density is None:
-            checks.refuse("ParticleFilter dynamics", "a log_prob (a proposal's weights need it)", "Custom with sample only")
-        return model
+        return as_particle_model("ParticleFilter", model, transition_density=self.look_ahead)
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
         """Draw n particles from the initial law."""

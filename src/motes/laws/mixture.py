@@ -52,10 +52,7 @@ class Mixture(Law):
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points, `(x, n)`."""
-        which = draw(random.child(key, 0), self.log_weights, n)
-        cov = self.parts.covariance
-        chosen = Gaussian(self.parts.center[:, which], cov[..., which] if cov.ndim == 3 else cov)
-        return chosen.sample(random.child(key, 1), n)
+        return self.picked(draw(random.child(key, 0), self.log_weights, n)).parts.sample(random.child(key, 1), n)
 
     def log_prob(self, value: jax.Array) -> jax.Array:
         """Log density at `(x,)` or `(x, n)`; NaN components are left out."""
@@ -70,6 +67,16 @@ class Mixture(Law):
 
         each = jax.vmap(of_one, in_axes=(-1, -1))(self.parts.center, cov)
         return jax.nn.logsumexp(each + self.log_weights[:, None], axis=0).reshape(shape)
+
+    def picked(self, ancestors: jax.Array) -> "Mixture":
+        """Return the mixture of the named components `(n,)`, with equal weights."""
+        cov = self.parts.covariance
+        parts = Gaussian(self.parts.center[:, ancestors], cov[..., ancestors] if cov.ndim == 3 else cov)
+        return Mixture(parts, logspace.uniform_weights(ancestors.shape[0], self.log_weights.dtype))
+
+    def unpicked(self) -> "Mixture":
+        """Return the mixture as it is; components keep no record of their ancestors."""
+        return self
 
     def inflated(self, factor: float) -> "Mixture":
         """Return the mixture with each component's covariance times a factor and the means spread to match."""

@@ -1,13 +1,16 @@
 """Gaussians through conditionals, by slopes at the mean: exact where the conditional is linear, extended-Kalman elsewhere."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import linalg
 from motes.laws.conditional import AdditiveGaussian, Conditional, LinearGaussian, matrix
 from motes.laws.gaussian import Correction, Gaussian
+from motes.models.mixed_linear import user_order
 
 
 def affine(part: Conditional, x: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -28,6 +31,81 @@ def measured(sensor: Conditional, law: Gaussian, y: jax.Array, u: Any, t: Any) -
     """Condition a Gaussian on a measurement `(y,)` through the sensor's slope at the mean; NaN means not measured."""
     prediction, slope, noise = affine(sensor, law.center, u, t)
     return law.corrected(sensor.residual(y, prediction), slope, noise, ~jnp.isnan(y))
+
+
+def moved_each(dynamics: Conditional, laws: Gaussian, u: Any, t: Any, shared: tuple[jax.Array, jax.Array] | None) -> Gaussian:
+    """Move each of a batch of Gaussians as `moved` does.
+
+    Args:
+        dynamics: with additive Gaussian noise.
+        laws: means `(x, n)`, covariances `(x, x, n)`.
+        u: inputs of the step.
+        t: the time moved to.
+        shared: slope `(x, x)` and noise covariance `(x, x)` where they are the same at every state; None to work them out at each mean.
+    """
+    if shared is None:
+        centers, slope, noise = jax.vmap(lambda x: affine(dynamics, x, u, t), in_axes=-1, out_axes=-1)(laws.center)
+    else:
+        centers, (slope, noise) = dynamics.means(laws.center, u, t), shared  # type: ignore[attr-defined]
+    return Gaussian(centers, linalg.add(linalg.sandwich(slope, laws.covariance), noise))
+
+
+def slope_in(part: Conditional, states: Sequence[int], x: jax.Array, u: Any, t: Any) -> jax.Array:
+    """Return the slope `(z, k)` of the mean in k of the states, at x `(x,)`."""
+    rest = [i for i in range(x.shape[0]) if i not in states]
+    order = user_order(tuple(states), x.shape[0])
+
+    def mean(chosen: jax.Array) -> jax.Array:
+        return part.mean(linalg.take(jnp.concatenate([linalg.take(x, rest), chosen]), order), u, t)
+
+    return jax.jacfwd(mean)(linalg.take(x, states))
+
+
+class Regression(NamedTuple):
+    """A sensor replaced by a plane over each of n Gaussians.
+
+    Attributes:
+        prediction: mean of the measurement, `(y, n)`.
+        slope: in the k states that were moved, `(y, k, n)`.
+        unexplained: covariance of the measurement about the plane, `(y, y, n)`.
+    """
+
+    prediction: jax.Array
+    slope: jax.Array
+    unexplained: jax.Array
+
+
+def regressed(sensor: AdditiveGaussian, states: Sequence[int], laws: Gaussian, u: Any, t: Any) -> Regression:
+    """Regress a sensor on some of the states over sigma points of each Gaussian.
+
+    With L the Cholesky factor of the covariance of the k states and s^2 = max(3, k), the points are the mean (weight 1 - k / s^2) and the
+    mean plus and minus s times each column of L (weights 1 / (2 s^2)) (Julier, Uhlmann 1997). Exact for sensors of second degree.
+
+    Args:
+        sensor: the sensor.
+        states: indices of the k states; the others stay at their means.
+        laws: means `(x, n)`, covariances `(x, x, n)`.
+        u: inputs of the step.
+        t: the time.
+    """
+    size = laws.center.shape[0]
+    others = tuple(i for i in range(size) if i not in states)
+    order = user_order(others, size)
+    factor = linalg.cholesky(linalg.take(linalg.take(laws.covariance, states), states, axis=1))
+    nothing = jnp.zeros((len(others), laws.center.shape[-1]), laws.center.dtype)
+    square = max(3, len(states))
+    middle = sensor.means(laws.center, u, t)
+    even, odd = [], []
+    for j in range(len(states)):
+        step = np.sqrt(square) * linalg.take(jnp.concatenate([factor[:, j], nothing]), order)
+        above, below = (sensor.residual(sensor.means(laws.center + sign * step, u, t), middle) for sign in (1, -1))
+        even.append((above + below) / (2 * np.sqrt(square)))
+        odd.append((above - below) / (2 * np.sqrt(square)))
+    bend = sum(even, jnp.zeros_like(middle)) / np.sqrt(square)
+    # weighted mean of squares less square of the mean; what the slope explains, the odd parts, has dropped out of the difference
+    unexplained = sum((a[:, None] * a[None] for a in even), -(bend[:, None] * bend[None]))
+    slope = linalg.transpose(linalg.solve_upper(factor, jnp.stack(odd))) if odd else middle[:, None][:, :0]
+    return Regression(middle + bend, slope, unexplained)
 
 
 def has_moments(part: Conditional) -> bool:

@@ -27,7 +27,7 @@ class Parts:
         n = cloud.log_weights.shape[0]
         leaves, self.tree = jax.tree.flatten(cloud)
         probe = jax.eval_shape(lambda cloud: cloud.picked(jnp.zeros((n + 1,), jnp.int32)), cloud)
-        own = (id(cloud.log_weights), id(cloud.ancestors))
+        own = (id(cloud.log_weights), id(getattr(cloud, "ancestors", None)))
         self.places = [
             i for i, (leaf, other) in enumerate(zip(leaves, jax.tree.leaves(probe), strict=True))
             if leaf.shape != other.shape and id(leaf) not in own
@@ -83,7 +83,8 @@ def evolve(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, cloud: Any, mo
         return eval_jaxpr(program.jaxpr, consts, *(lane[..., ancestors] for lane in lanes))[: len(lanes)]
 
     moved = blocks.differentiable(native, pure)(stage.words, ancestors, parts.lanes, program.consts)
-    return replace(parts.together(cloud, [*moved, *stage.rest]), ancestors=ancestors, log_weights=log_weights)
+    marks = {"ancestors": ancestors} if hasattr(cloud, "ancestors") else {}
+    return replace(parts.together(cloud, [*moved, *stage.rest]), log_weights=log_weights, **marks)
 
 
 def reweigh(cloud: Any, judge: Callable[[Any], tuple[Any, jax.Array, jax.Array]]) -> tuple[Any, jax.Array] | None:

@@ -49,7 +49,7 @@ class ESS(Policy):
 
     def __post_init__(self) -> None:
         """Refuse shares outside (0, 1]."""
-        _check_range("ESS share", self.share, 1.0)
+        checks.above_zero("ESS share", self.share, 1.0)
 
     def needed(self, log_weights: jax.Array) -> jax.Array:
         """Compare the effective sample size with the share."""
@@ -68,16 +68,11 @@ class Entropy(Policy):
 
     def __post_init__(self) -> None:
         """Refuse thresholds that are not positive."""
-        _check_range("Entropy threshold", self.threshold, float("inf"))
+        checks.above_zero("Entropy threshold", self.threshold)
 
     def needed(self, log_weights: jax.Array) -> jax.Array:
         """Compare the entropy deficit with the threshold."""
         return logspace.entropy_deficit(log_weights) > self.threshold
-
-
-def _check_range(argument: str, value: float, top: float) -> None:
-    if checks.is_concrete(value) and not 0 < value <= top:
-        checks.refuse(argument, f"a number above 0 and at most {top}", value)
 
 
 class Weighted(Protocol):

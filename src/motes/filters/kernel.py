@@ -1,0 +1,171 @@
+"""Kalman-particle kernel filter (paper 003: Dahia, Musso, Pham, Guibert 2004; equations 3 to 14): a cloud of small Gaussians.
+
+1. Start with kernels that are small in the nonlinear states only; in the others each holds the full initial covariance.
+2. Correct each kernel by the Kalman filter of the sensor linearized over it, and its weight by N(y - y_i; 0, H P H' + R).
+3. Predict each kernel by the dynamics linearized at its center.
+4. Every few steps, select kernels by weight where the weights are uneven (full resampling; otherwise partial), and split wide kernels:
+   centers are drawn, covariances shrink, mean and covariance of the mixture stay (`SplitKernels`, or the paper's `CommonKernel`).
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, random
+from motes.core.logspace import uniform_weights
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info, TwoStageFilter, as_state_space, evolve, reweigh
+from motes.laws.conditional import AdditiveGaussian, matrix_over
+from motes.laws.gaussian import Gaussian
+from motes.laws.mixture import Mixture
+from motes.models import linearize
+from motes.models.mixed_linear import MixedLinearModel, user_order
+from motes.models.state_space import StateSpaceModel
+from motes.models.structure import largest, trace, varying
+from motes.resampling.policy import Entropy, Never, Policy
+from motes.resampling.schemes import Scheme, Systematic
+from motes.resampling.splitting import Kernels, SplitKernels
+
+
+@record
+class LocalModel:
+    """A model with what is known of its slopes.
+
+    Attributes:
+        dynamics: with additive Gaussian noise.
+        sensor: likewise.
+        initial: law of x_0.
+        nonlinear: indices of the states in which kernels are small.
+        linear: indices of the others.
+        steady: whether slope and noise of the dynamics are the same at every state.
+        plane: whether the slope of the sensor in the other states is.
+    """
+
+    dynamics: AdditiveGaussian
+    sensor: AdditiveGaussian
+    initial: Any
+    nonlinear: tuple[int, ...] = static()
+    linear: tuple[int, ...] = static()
+    steady: bool = static()
+    plane: bool = static()
+
+
+@record
+class KalmanParticleKernelFilter(TwoStageFilter):
+    """Kalman-particle kernel filter; its state is a `Mixture` of n Gaussians with a covariance each.
+
+    Attributes:
+        n: number of kernels.
+        nonlinear: states in which kernels are small, by name or index; None for those that the structure of the model leaves nonlinear.
+        spread: factor on the initial standard deviation of the nonlinear states, so that their tails have kernels too; the
+            filter's own prior is wider than the model's by it.
+        width: standard deviation of an initial kernel along the nonlinear states, as a share of that of the initial law (times `spread`).
+        every: steps between resamplings.
+        kernels: how kernels are kept small.
+        slope: "sigma": the sensor is regressed on the nonlinear states over sigma points of each kernel, and the variance that the
+            slope leaves unexplained is added to R; "jacobian": its slope at the center, which is faster.
+        scheme: how kernels are selected.
+        policy: when a resampling selects; otherwise it splits and keeps the weights.
+    """
+
+    n: int = static()
+    nonlinear: tuple[str | int, ...] | None = static(default=None)
+    spread: float = 1.3
+    width: float = 0.1
+    every: int = static(default=10)
+    kernels: Kernels = SplitKernels()
+    slope: str = static(default="sigma")
+    scheme: Scheme = Systematic()
+    policy: Policy = Entropy(0.5)
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: a number is out of range, or a word is unknown.
+        """
+        for name in ("n", "every"):
+            checks.positive_integer(f"KalmanParticleKernelFilter {name}", getattr(self, name))
+        checks.above_zero("KalmanParticleKernelFilter spread", self.spread)
+        checks.above_zero("KalmanParticleKernelFilter width", self.width, 1.0)
+        checks.option("KalmanParticleKernelFilter slope", self.slope, ("sigma", "jacobian"))
+        if self.nonlinear is not None:
+            object.__setattr__(self, "nonlinear", (self.nonlinear,) if isinstance(self.nonlinear, str) else tuple(self.nonlinear))
+
+    def prepare(self, model: Any, u: Any) -> LocalModel:
+        """Ask for additive Gaussian noises, and find the nonlinear states and which slopes are shared.
+
+        Raises:
+            MotesError: a noise is of another kind, or there is no such state.
+        """
+        if isinstance(model, LocalModel):
+            return model
+        known = model.linear if isinstance(model, MixedLinearModel) else None
+        model = as_state_space("KalmanParticleKernelFilter", model)
+        for name in ("dynamics", "sensor"):
+            part = getattr(model, name)
+            if not isinstance(part, AdditiveGaussian):
+                checks.refuse(f"KalmanParticleKernelFilter {name}", "additive Gaussian noise (kernels are corrected by Kalman filters)",
+                              type(part).__name__, "Use a ParticleFilter or a RegularizedParticleFilter.")
+        return self._local(model, known, u)
+
+    def _local(self, model: StateSpaceModel, known: tuple[int, ...] | None, u: Any) -> LocalModel:
+        traced, size = trace(model, u), model.size
+        if self.nonlinear is None:
+            linear = largest(traced, size) if known is None else known
+        else:
+            linear = tuple(sorted(set(range(size)) - {model.index(state) for state in self.nonlinear}))
+        bends = traced.slope_pairs["dynamics"][:, :size, :size].any() or traced.noise_uses["dynamics"][:size].any()
+        moving = varying(traced, linear, size).get("sensor slope")
+        plane = moving is None or not moving[:size].any()
+        nonlinear = tuple(i for i in range(size) if i not in linear)
+        return LocalModel(model.dynamics, model.sensor, model.initial, nonlinear, linear, not bends, plane)  # type: ignore[arg-type]
+
+    def init(self, key: jax.Array, model: LocalModel) -> Mixture:
+        """Draw n centers along the nonlinear states, the others following by regression, each with what is left of the covariance."""
+        mean, cov = model.initial.mean(), model.initial.cov()
+        factor = linalg.cholesky(linalg.take(linalg.take(cov, model.nonlinear), model.nonlinear, axis=1))
+        along = linalg.transpose(linalg.solve_lower(factor, linalg.take(cov, model.nonlinear)))
+        off = linalg.take(model.initial.sample(key, self.n) - mean[:, None], model.nonlinear)
+        moved = linalg.times_vector(along, linalg.solve_lower(factor, off))
+        centers = mean[:, None] + self.spread * jnp.sqrt(1 - jnp.square(self.width)) * moved
+        kernel = cov - (1 - jnp.square(self.spread * self.width)) * linalg.product_transposed(along, along)
+        kernels = jnp.broadcast_to(linalg.symmetric(kernel)[..., None], (*cov.shape, self.n))
+        return Mixture(Gaussian(centers.astype(cov.dtype), kernels.astype(cov.dtype)), uniform_weights(self.n, cov.dtype))
+
+    def predict(self, key: jax.Array, model: LocalModel, state: Mixture, u: Any, t: Any) -> Mixture:
+        """Move the kernels; every few steps select and split them."""
+        keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
+        shared = linearize.affine(model.dynamics, state.parts.center[:, 0], u, t)[1:] if model.steady else None
+
+        def move(noise_key: jax.Array, law: Mixture) -> Mixture:
+            return replace(law, parts=linearize.moved_each(model.dynamics, law.parts, u, t, shared))
+
+        def resampled(law: Mixture) -> Mixture:
+            return evolve(keys, self.scheme, self.policy, law, self.kernels.fitted(law, model.nonlinear))
+
+        return jax.lax.cond(t % self.every == 0, resampled, lambda law: law, evolve(keys, self.scheme, Never(), state, move))
+
+    def correct(self, key: jax.Array, model: LocalModel, state: Mixture, y: jax.Array, u: Any, t: Any) -> tuple[Mixture, Info]:
+        """Correct each kernel by y, and weigh it by its predictive density of y."""
+        sensor, size = model.sensor, state.parts.center.shape[0]
+        example = state.parts.center[:, 0]
+        shared = linearize.slope_in(sensor, model.linear, example, u, t) if model.plane else None
+
+        def slopes(states: tuple[int, ...], X: jax.Array) -> jax.Array:
+            return jax.vmap(lambda x: linearize.slope_in(sensor, states, x, u, t), in_axes=-1, out_axes=-1)(X)
+
+        def judge(law: Mixture) -> tuple[Mixture, jax.Array, jax.Array]:
+            X, R = law.parts.center, matrix_over(sensor.Q, law.parts.center, u, t)
+            if self.slope == "sigma":
+                prediction, curved, unexplained = linearize.regressed(sensor, model.nonlinear, law.parts, u, t)
+                R = linalg.add(unexplained, R)
+            else:
+                prediction, curved = sensor.means(X, u, t), slopes(model.nonlinear, X)
+            straight = slopes(model.linear, X) if shared is None else jnp.broadcast_to(shared[..., None], (*shared.shape, X.shape[-1]))
+            H = linalg.take(jnp.concatenate([curved, straight], axis=1), user_order(model.linear, size), axis=1)
+            done = law.parts.corrected_in_turn(sensor.residual(y, prediction), H, R, ~jnp.isnan(y))
+            return replace(law, parts=done.law), done.log_evidence, done.peak
+
+        return reweigh(state, judge)

@@ -1,0 +1,127 @@
+"""Regularized particle filter (Musso, Oudjane, LeGland 2001; compared with in paper 003): resampling from a smoothed cloud.
+
+1. Resample where the policy says so.
+2. "post": add a draw of a small kernel to each resampled particle, then move it by the dynamics. "pre": the other way round, so that the
+   predicted cloud is smoothed; its correction is by weights as ever, not by rejection.
+3. Weigh by p(y | x).
+
+"metropolis" adds nothing in step 2. After step 3 the kernel proposes x* for each particle, which replaces x with probability
+min(1, p(y | x*) p(x* | before) / (p(y | x) p(x | before))): the law stays that of the particle filter, without bias from the kernel.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, random
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info, TwoStageFilter, as_particle_model, evolve, reweigh
+from motes.laws.cloud import Cloud
+from motes.laws.conditional import AdditiveGaussian, matrix_over
+from motes.models.state_space import StateSpaceModel
+from motes.resampling.kernels import Regularization
+from motes.resampling.policy import ESS, Policy, resample
+from motes.resampling.schemes import Scheme, Systematic
+
+
+@record
+class RegularizedParticleFilter(TwoStageFilter):
+    """Regularized particle filter; its state is a `Cloud`.
+
+    Attributes:
+        n: number of particles.
+        regularization: the kernel.
+        form: "post", "pre" or "metropolis", which needs noise in every state to accept anything.
+        scheme: how ancestors are drawn.
+        policy: when to resample, and with it to smooth, at the start of a step.
+    """
+
+    n: int = static()
+    regularization: Regularization = Regularization()
+    form: str = static(default="post")
+    scheme: Scheme = Systematic()
+    policy: Policy = ESS(0.5)
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number, the form is unknown, or shrinkage is to be accepted or refused.
+        """
+        checks.positive_integer("RegularizedParticleFilter n", self.n)
+        checks.option("RegularizedParticleFilter form", self.form, ("post", "pre", "metropolis"))
+        if self.form == "metropolis" and self.regularization.shrink:
+            checks.refuse("RegularizedParticleFilter regularization", "no shrinkage with the form 'metropolis', whose proposals are symmetric",
+                          "shrink=True")
+
+    @property
+    def look_ahead(self) -> bool:  # type: ignore[override]
+        """The Metropolis form moves only when it knows the measurement."""
+        return self.form == "metropolis"
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for dynamics that can be drawn from (and, for the Metropolis form, have a density) and a sensor with a density.
+
+        Raises:
+            MotesError: one is missing.
+        """
+        return as_particle_model("RegularizedParticleFilter", model, transition_density=self.look_ahead)
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
+        """Draw n particles from the initial law."""
+        return Cloud.equal(model.initial.sample(key, self.n))
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
+        """Resample where needed, move by the dynamics, and smooth what was resampled before or after."""
+        keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
+        needed = self.policy.needed(state.log_weights)
+        smooth = self.regularization.fitted(state.log_weights, state.particles, needed) if self.form == "post" else None
+
+        def move(noise_key: jax.Array, cloud: Cloud) -> Cloud:
+            X = cloud.particles if smooth is None else smooth(random.child(noise_key, random.NOISE), cloud.particles)
+            return replace(cloud, particles=model.dynamics.sample(noise_key, X, u, t))
+
+        moved = evolve(keys, self.scheme, self.policy, state, move)
+        if self.form == "post":
+            return moved
+        smooth = self.regularization.fitted(moved.log_weights, moved.particles, needed)
+        return replace(moved, particles=smooth(random.child(keys[1], random.NOISE), moved.particles))
+
+    def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+        """Weigh the particles by the likelihood of y."""
+
+        def judge(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
+            return cloud, model.sensor.log_prob(y, cloud.particles, u, t), model.sensor.ceiling(y, cloud.particles, u, t)
+
+        return reweigh(state, judge)
+
+    def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+        """Go to the next time t and take in its measurement."""
+        if not self.look_ahead:
+            return TwoStageFilter.step(self, key, model, state, y, u, t)
+        predict_key = random.child(key, random.PREDICT)
+        needed = self.policy.needed(state.log_weights)
+        # its covariance is that of the past: proposals that knew the particles they move would not be symmetric
+        smooth = self.regularization.fitted(state.log_weights, state.particles, needed)
+        parents = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
+        noise_key = random.child(predict_key, random.NOISE)
+        blind = replace(parents, particles=model.dynamics.sample(noise_key, parents.particles, u, t))
+        after, info = self.correct(key, model, blind, y, u, t)
+
+        def log_target(X: jax.Array) -> jax.Array:
+            return model.sensor.log_prob(y, X, u, t) + model.dynamics.log_prob(X, parents.particles, u, t)
+
+        proposed = smooth(random.child(noise_key, random.NOISE), blind.particles)
+        chance = random.uniform(random.child(key, random.UPDATE), (self.n,), proposed.dtype)
+        accepted = jnp.log(1 - chance) < log_target(proposed) - log_target(blind.particles)
+        accepted &= _filled(model, parents.particles, u, t)
+        return self.settle(blind, replace(after, particles=jnp.where(accepted, proposed, blind.particles)), info, y)
+
+
+def _filled(model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array | bool:
+    """Tell where the dynamics have noise in every direction: elsewhere no proposal lies on the support of what it is to replace."""
+    if not isinstance(model.dynamics, AdditiveGaussian):
+        return True
+    factor = linalg.cholesky(matrix_over(model.dynamics.Q, X, u, t))
+    return jnp.all(jnp.stack([factor[i, i] for i in range(factor.shape[0])]) > 0, axis=0)
