@@ -56,7 +56,8 @@ def examples():
     found["MarginalizedParticleFilter, regularized"] = mo.MarginalizedParticleFilter(
         n=300, linear=("b",), regularization=mo.Regularization(scale=0.3)
     )
-    found["RegularizedParticleFilter, pre"] = mo.RegularizedParticleFilter(n=300, regularization=mo.Regularization("epanechnikov"), form="pre")
+    ball = mo.Regularization("epanechnikov", shrink=True)
+    found["RegularizedParticleFilter, pre"] = mo.RegularizedParticleFilter(n=300, regularization=ball, form="pre")
     found["RegularizedParticleFilter, metropolis"] = mo.RegularizedParticleFilter(n=300, form="metropolis")
     found["KalmanParticleKernelFilter, nonlinear"] = mo.KalmanParticleKernelFilter(n=300, nonlinear=("a", "b"), every=2)
     found["KalmanParticleKernelFilter, common kernel"] = mo.KalmanParticleKernelFilter(

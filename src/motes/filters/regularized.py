@@ -52,7 +52,7 @@ class RegularizedParticleFilter(TwoStageFilter):
         checks.positive_integer("RegularizedParticleFilter n", self.n)
         checks.option("RegularizedParticleFilter form", self.form, ("post", "pre", "metropolis"))
         if self.form == "metropolis" and self.regularization.shrink:
-            checks.refuse("RegularizedParticleFilter regularization", "no shrinkage with the form 'metropolis', whose proposals are symmetric",
+            checks.refuse("RegularizedParticleFilter regularization", "no shrinkage with 'metropolis' (its proposals are symmetric)",
                           "shrink=True")
 
     @property

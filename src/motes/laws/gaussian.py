@@ -119,7 +119,7 @@ class Gaussian(Law):
         return Correction(Gaussian(center, joseph), log_evidence, peak)
 
     def corrected_in_turn(self, innovation: jax.Array, H: jax.Array, R: jax.Array, seen: jax.Array | None = None) -> "Correction":
-        """Condition as `corrected` does, on one component after the other by rank-one updates: cheaper where each law has its own covariance.
+        """Condition as `corrected` does, but one component after the other by rank-one updates: cheaper where each law has its own P.
 
         The triangular factor of R makes the components independent first. P - c c' / s is no Joseph form; instead the variance along a
         measured direction never falls below the rounding of what it was.

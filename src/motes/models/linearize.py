@@ -91,21 +91,20 @@ def regressed(sensor: AdditiveGaussian, states: Sequence[int], laws: Gaussian, u
     size = laws.center.shape[0]
     others = tuple(i for i in range(size) if i not in states)
     order = user_order(others, size)
-    factor = linalg.cholesky(linalg.take(linalg.take(laws.covariance, states), states, axis=1))
-    nothing = jnp.zeros((len(others), laws.center.shape[-1]), laws.center.dtype)
-    square = max(3, len(states))
-    middle = sensor.means(laws.center, u, t)
-    even, odd = [], []
-    for j in range(len(states)):
-        step = np.sqrt(square) * linalg.take(jnp.concatenate([factor[:, j], nothing]), order)
-        above, below = (sensor.residual(sensor.means(laws.center + sign * step, u, t), middle) for sign in (1, -1))
-        even.append((above + below) / (2 * np.sqrt(square)))
-        odd.append((above - below) / (2 * np.sqrt(square)))
-    bend = sum(even, jnp.zeros_like(middle)) / np.sqrt(square)
+    # the barriers keep compilers from working factor and plane out again wherever they are used
+    factor = jax.lax.optimization_barrier(linalg.cholesky(linalg.take(linalg.take(laws.covariance, states), states, axis=1)))
+    nothing = jnp.zeros((len(others), *factor.shape[1:]), factor.dtype)
+    step = np.sqrt(max(3, len(states)))
+    steps = step * linalg.take(jnp.concatenate([factor, nothing]), order)
+    points = laws.center[:, None] + jnp.concatenate([jnp.zeros_like(laws.center)[:, None], steps, -steps], axis=1)
+    found = jax.vmap(lambda X: sensor.means(X, u, t), in_axes=1, out_axes=1)(points)
+    middle, (above, below) = found[:, 0], jnp.split(sensor.residual(found[:, 1:], found[:, :1]), 2, axis=1)
+    even, odd = (above + below) / (2 * step), (above - below) / (2 * step)
+    bend = jnp.sum(even, axis=1) / step
     # weighted mean of squares less square of the mean; what the slope explains, the odd parts, has dropped out of the difference
-    unexplained = sum((a[:, None] * a[None] for a in even), -(bend[:, None] * bend[None]))
-    slope = linalg.transpose(linalg.solve_upper(factor, jnp.stack(odd))) if odd else middle[:, None][:, :0]
-    return Regression(middle + bend, slope, unexplained)
+    unexplained = linalg.product_transposed(even, even) - bend[:, None] * bend[None]
+    slope = linalg.transpose(linalg.solve_upper(factor, linalg.transpose(odd)))
+    return Regression(*jax.lax.optimization_barrier((middle + bend, slope, unexplained)))
 
 
 def has_moments(part: Conditional) -> bool:

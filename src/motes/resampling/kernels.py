@@ -1,11 +1,10 @@
-"""Regularization: a cloud is smoothed by a kernel, so that particles which resampling made equal part again (Musso, Oudjane, LeGland 2001)."""
+"""Regularization: a kernel smooths a cloud, so that particles which resampling made equal part again (Musso, Oudjane, LeGland 2001)."""
 
+import math
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from scipy.special import gammaln
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, static
@@ -45,11 +44,11 @@ class Regularization:
         """Bandwidth h for n particles in d dimensions, as a share of the standard deviation of the cloud (Silverman 1986)."""
         best = 4 / (d + 2)
         if self.kernel == EPANECHNIKOV:
-            log_ball = 0.5 * d * np.log(np.pi) - gammaln(0.5 * d + 1)
-            best = 8 * (d + 4) * np.exp(d * np.log(2 * np.sqrt(np.pi)) - log_ball)
-        return self.scale * float((best / n) ** (1 / (d + 4)))
+            log_ball = 0.5 * d * math.log(math.pi) - math.lgamma(0.5 * d + 1)
+            best = 8 * (d + 4) * math.exp(d * math.log(2 * math.sqrt(math.pi)) - log_ball)
+        return self.scale * (best / n) ** (1 / (d + 4))
 
-    def draw(self, key: jax.Array, shape: tuple[int, int], dtype: jnp.dtype) -> jax.Array:
+    def draw(self, key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
         """Draw n points `(d, n)` of the kernel: of covariance one if Gaussian, 1 / (d + 4) if Epanechnikov."""
         d, n = shape
         if self.kernel == GAUSSIAN:
