@@ -53,11 +53,6 @@ def examples():
     found["ParticleFilter, SIR stratified"] = mo.ParticleFilter(n=300, scheme=mo.Stratified(), policy=mo.Always())
     found["ParticleFilter, SIS"] = mo.ParticleFilter(n=300, policy=mo.Never())
     found["MarginalizedParticleFilter, one state"] = mo.MarginalizedParticleFilter(n=300, linear=("b",))
-    found["MarginalizedParticleFilter, regularized"] = mo.MarginalizedParticleFilter(
-        n=300, linear=("b",), regularization=mo.Regularization(scale=0.3)
-    )
-    ball = mo.Regularization("epanechnikov", shrink=True)
-    found["RegularizedParticleFilter, pre"] = mo.RegularizedParticleFilter(n=300, regularization=ball, form="pre")
     found["RegularizedParticleFilter, metropolis"] = mo.RegularizedParticleFilter(n=300, form="metropolis")
     found["KalmanParticleKernelFilter, nonlinear"] = mo.KalmanParticleKernelFilter(n=300, nonlinear=("a", "b"), every=2)
     found["KalmanParticleKernelFilter, common kernel"] = mo.KalmanParticleKernelFilter(

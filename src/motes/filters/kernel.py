@@ -130,9 +130,11 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         off = linalg.take(model.initial.sample(key, self.n) - mean[:, None], model.nonlinear)
         moved = linalg.times_vector(along, linalg.solve_lower(factor, off))
         centers = mean[:, None] + self.spread * jnp.sqrt(1 - jnp.square(self.width)) * moved
-        kernel = cov - (1 - jnp.square(self.spread * self.width)) * linalg.product_transposed(along, along)
-        kernels = jnp.broadcast_to(linalg.symmetric(kernel)[..., None], (*cov.shape, self.n))
-        return Mixture(Gaussian(centers.astype(cov.dtype), kernels.astype(cov.dtype)), uniform_weights(self.n, cov.dtype))
+        amounts = jnp.stack([jnp.ones(()), jnp.square(self.spread * self.width) - 1]).astype(cov.dtype)
+        terms = jnp.stack([cov, linalg.symmetric(linalg.product_transposed(along, along))], axis=-1)
+        # as a matrix product: compilers would fuse a plain sum into the first correction and round it otherwise than where both are apart
+        kernels = linalg.product(terms.reshape(-1, 2), jnp.broadcast_to(amounts[:, None], (2, self.n))).reshape(*cov.shape, self.n)
+        return Mixture(Gaussian(centers.astype(cov.dtype), kernels), uniform_weights(self.n, cov.dtype))
 
     def predict(self, key: jax.Array, model: LocalModel, state: Mixture, u: Any, t: Any) -> Mixture:
         """Move the kernels; every few steps select and split them."""

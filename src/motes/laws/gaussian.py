@@ -137,13 +137,14 @@ class Gaussian(Law):
         innovation, H = (linalg.solve_lower(*_same_batch(factor, rows, axes)) for rows, axes in ((innovation, 1), (H, 2)))
         if H.ndim < self.center.ndim + 1:
             H = H[..., None]
+        # the barriers: or else all of it is worked out again for every entry of P
+        innovation, H, noise = jax.lax.optimization_barrier((innovation, H, noise))
         center, P = self.center, self.covariance
-        peak, distance = -0.5 * _LOG_2PI * components, 0.0
+        peak, distance = -0.5 * _LOG_2PI * jnp.asarray(components, P.dtype), jnp.zeros((), P.dtype)
         for i in range(H.shape[0]):
             cross = linalg.times_vector(P, H[i])
             before = jnp.maximum(jnp.sum(H[i] * cross, axis=0), 0)
             total = before + noise[i]
-            # as in `corrected`: or else it is all worked out again for every entry of P
             cross, before, total = jax.lax.optimization_barrier((cross, before, total))
             surprise = innovation[i] - jnp.sum(H[i] * (center - self.center), axis=0)
             inverse = _inverse(total)
