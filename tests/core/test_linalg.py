@@ -131,3 +131,21 @@ def test_nothing_is_a_size_too():
     assert linalg.product_transposed(jnp.zeros((2, 0, 4)), jnp.zeros((3, 0, 4))).shape == (2, 3, 4)
     assert linalg.product(jnp.zeros((2, 0, 4)), jnp.zeros((0, 3, 4))).shape == (2, 3, 4)
     assert linalg.times_vector(jnp.zeros((2, 0)), jnp.zeros((0, 4))).shape == (2, 4)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 6])
+def test_eigen(size, double):
+    rng = np.random.default_rng(size)
+    A = rng.normal(size=(size, size, 20)) * 10.0 ** rng.integers(-3, 4, size=20)
+    A = A + A.swapaxes(0, 1)
+    A[..., 0], A[..., 1] = np.eye(size), 0
+    values, vectors = (np.asarray(part) for part in jax.jit(linalg.eigen)(jnp.asarray(A)))
+    scale = np.abs(A).max(axis=(0, 1)) + 1e-300
+    assert np.all(np.abs(np.einsum("ijn,jn,kjn->ikn", vectors, values, vectors) - A) < 1e-12 * scale)
+    assert np.allclose(np.einsum("ijn,ikn->jkn", vectors, vectors), np.eye(size)[..., None], atol=1e-12)
+
+
+def test_unit_factor_of_a_singular_matrix(double):
+    A = np.array([[4.0, 2, 0], [2, 1, 0], [0, 0, 3]])
+    L, d = (np.asarray(part) for part in linalg.unit_factor(jnp.asarray(A)))
+    assert np.allclose(L @ np.diag(d) @ L.T, A) and np.array_equal(np.diag(L), np.ones(3)) and d[1] == 0

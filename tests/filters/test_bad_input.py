@@ -77,6 +77,18 @@ CASES = {
     "n": (lambda: mo.ParticleFilter(n=0), "ParticleFilter n: expected a whole number of at least 1, got 0"),
     "n not whole": (lambda: mo.MarginalizedParticleFilter(n=10.5), "MarginalizedParticleFilter n: expected a whole number of at least 1, got 10.5"),
     "proposal": (lambda: mo.ParticleFilter(n=3, proposal=EYE), "ParticleFilter proposal: expected a conditional such as AdditiveGaussian, got ndarray"),
+    "kernel width": (lambda: mo.KalmanParticleKernelFilter(n=3, width=1.5), "KalmanParticleKernelFilter width: expected a number above 0 and at most 1, got 1.5"),
+    "kernel slope": (lambda: mo.KalmanParticleKernelFilter(n=3, slope="ukf"), "KalmanParticleKernelFilter slope: expected one of 'sigma', 'jacobian', got 'ukf'"),
+    "kernel state": (lambda: run_with(mo.KalmanParticleKernelFilter(n=3, nonlinear=("z",))), "state: expected one of the names a, b or an index below 2, got 'z'"),
+    "kernel noise": (
+        lambda: run_with(mo.KalmanParticleKernelFilter(n=3), model=good_model(sensor=mo.AdditiveNoise(lambda x, u, t: x[:1], mo.Laplace([0.5])))),
+        "KalmanParticleKernelFilter sensor: expected additive Gaussian noise (kernels are corrected by Kalman filters), got AdditiveNoise"),
+    "kernel cap": (lambda: mo.SplitKernels(cap=0.0), "SplitKernels cap: expected a number above 0 and at most 1, got 0.0"),
+    "regularization": (lambda: mo.Regularization("box"), "Regularization kernel: expected one of 'gaussian', 'epanechnikov', got 'box'"),
+    "regularized form": (lambda: mo.RegularizedParticleFilter(n=3, form="both"), "RegularizedParticleFilter form: expected one of 'post', 'pre', 'metropolis'"),
+    "shrinking proposals": (
+        lambda: mo.RegularizedParticleFilter(n=3, form="metropolis", regularization=mo.Regularization(shrink=True)),
+        "RegularizedParticleFilter regularization: expected no shrinkage with 'metropolis'"),
     "grid ends": (lambda: mo.PointMassFilter(1.0, 0.0, 9), "PointMassFilter lower: expected numbers below those of upper"),
     "grid dimensions": (lambda: run_with(mo.PointMassFilter(0.0, 1.0, 9)), "PointMassFilter nodes: expected 2 dimensions (states of the model), got 1"),
     "not linear for Kalman": (lambda: run_with(mo.KalmanFilter()), "KalmanFilter model: expected a linear-Gaussian model, got a: sensor is nonlinear in it"),
