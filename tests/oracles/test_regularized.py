@@ -77,10 +77,14 @@ def case(double):
     return ys, np.asarray(exact.mean), np.diagonal(np.asarray(exact.cov), axis1=1, axis2=2)
 
 
-FORMS = [("post", mo.Regularization(shrink=True)), ("pre", mo.Regularization("epanechnikov", shrink=True)), ("metropolis", mo.Regularization(scale=3.0))]
+FORMS = {
+    "post": mo.Regularization(shrink=True),
+    "pre": mo.Regularization("epanechnikov", shrink=True),
+    "metropolis": mo.Regularization(scale=3.0),
+}
 
 
-@pytest.mark.parametrize(("form", "regularization"), FORMS, ids=[form for form, _ in FORMS])
+@pytest.mark.parametrize(("form", "regularization"), FORMS.items(), ids=FORMS)
 def test_agrees_with_the_kalman_filter(case, form, regularization):
     ys, mean, variance = case
     filter = mo.RegularizedParticleFilter(n=1500, regularization=regularization, form=form, policy=mo.Always())
@@ -103,8 +107,9 @@ def test_metropolis_moves_particles_and_only_where_there_is_noise():
     def different(Q):
         model = mo.StateSpaceModel(slow().initial, mo.LinearGaussian(np.eye(2), Q), slow().sensor)
         ys = np.array([[0.3], [0.5]])
-        plain, moved = (mo.run(0, filter, model, ys).state.particles for filter in (
-            mo.ParticleFilter(n=400, policy=mo.Always()), mo.RegularizedParticleFilter(n=400, form="metropolis", policy=mo.Always())))  # fmt: skip
+        knobs = {"n": 400, "policy": mo.Always()}
+        filters = mo.ParticleFilter(**knobs), mo.RegularizedParticleFilter(**knobs, form="metropolis")
+        plain, moved = (mo.run(0, filter, model, ys).state.particles for filter in filters)
         return float(np.mean(np.any(np.asarray(plain) != np.asarray(moved), axis=0)))
 
     assert different(np.diag([0.5, 0.4])) > 0.3
