@@ -105,7 +105,8 @@ def bimodal():
 
 @pytest.mark.parametrize("filter", [
     mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4),
-    mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4, slope="jacobian"),
+    # a slope at the center alone leaves the curvature over a kernel out of account: it needs smaller kernels
+    mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=1, slope="jacobian", kernels=mo.SplitKernels(cap=0.15)),
     mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4, kernels=mo.CommonKernel(guard=0.05)),
 ], ids=["sigma", "jacobian", "common"])  # fmt: skip
 def test_keeps_both_modes(bimodal, filter):
@@ -119,7 +120,7 @@ def test_keeps_both_modes(bimodal, filter):
     assert np.abs(found - right).max() < 0.05
     spread = np.sqrt(np.diagonal(np.asarray(exact.cov), axis1=1, axis2=2))
     assert np.all(np.abs(history.mean - exact.mean) < 0.15 * spread)
-    assert np.all(np.abs(np.sqrt(np.diagonal(np.asarray(history.cov), axis1=1, axis2=2)) / spread - 1) < 0.1)
+    assert np.all(np.abs(np.sqrt(np.diagonal(np.asarray(history.cov), axis1=1, axis2=2)) / spread - 1) < 0.08)
     assert abs(float(history.log_likelihood - exact.log_likelihood)) < 0.2
 
 
@@ -158,4 +159,4 @@ def test_nonlinear_dynamics_are_linearized_at_each_kernel():
     spread = np.sqrt(np.diagonal(np.asarray(many.cov), axis1=1, axis2=2))
     # level 1e-6 over thirty numbers, with the error of the reference and a bias of order 1/n on top
     assert np.all(np.abs(means.mean(axis=0) - many.mean) < 5.5 * means.std(axis=0, ddof=1) / np.sqrt(24) + 0.04 * spread)
-    assert np.all(means.std(axis=0) < 0.2 * spread)
+    assert np.all(means.std(axis=0) < 0.3 * spread)
