@@ -12,7 +12,6 @@ import numpy as np
 from jax.lax import Precision
 
 _EXACT = Precision.HIGHEST
-_SWEEPS = 6
 
 
 def _align(a: jax.Array, b: jax.Array, small_axes: int) -> tuple[jax.Array, jax.Array]:
@@ -175,26 +174,20 @@ def unit_factor(a: jax.Array) -> tuple[jax.Array, jax.Array]:
 def eigen(a: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Eigenvalues `(i, *n)`, in no order, and orthonormal eigenvectors `(i, i, *n)` as columns, of symmetric A `(i, i, *n)`.
 
-    Jacobi rotations, written out: exact after one for two rows, to rounding after six sweeps up to a dozen. Meant for few rows.
+    Two rows are turned by one Jacobi rotation; from three on LAPACK does one matrix after the other.
     """
-    size = a.shape[0]
-    one, zero = jnp.ones_like(a[0, 0]), jnp.zeros_like(a[0, 0])
-    A = [[a[i, j] for j in range(size)] for i in range(size)]
-    V = [[one if i == j else zero for j in range(size)] for i in range(size)]
-    pairs = [(i, j) for i in range(size) for j in range(i + 1, size)]
-    for i, j in pairs * (_SWEEPS if size > 2 else 1):
-        apart, twice = A[j][j] - A[i][i], 2 * A[i][j]
-        longest = apart**2 + twice**2
-        turned = longest > 0
-        root = jnp.sqrt(jnp.where(turned, longest, 1))
-        tangent = jnp.where(turned, jnp.where(apart < 0, -twice, twice) / (jnp.abs(apart) + root), 0)
-        cosine = 1 / jnp.sqrt(1 + tangent**2)
-        sine = tangent * cosine
-        for row in (*A, *V):
-            row[i], row[j] = cosine * row[i] - sine * row[j], sine * row[i] + cosine * row[j]
-        A[i], A[j] = ([cosine * x - sine * y for x, y in zip(A[i], A[j], strict=True)],
-                      [sine * x + cosine * y for x, y in zip(A[i], A[j], strict=True)])  # fmt: skip
-    return jnp.stack([A[i][i] for i in range(size)]), jnp.stack([jnp.stack(row) for row in V])
+    if a.shape[0] != 2:
+        values, vectors = jnp.linalg.eigh(jnp.moveaxis(a, (0, 1), (-2, -1)))
+        return jnp.moveaxis(values, -1, 0), jnp.moveaxis(vectors, (-2, -1), (0, 1))
+    apart, twice = a[1, 1] - a[0, 0], 2 * a[0, 1]
+    square = apart**2 + twice**2
+    turned = square > 0
+    root = jnp.sqrt(jnp.where(turned, square, 1))
+    tangent = jnp.where(turned, jnp.where(apart < 0, -twice, twice) / (jnp.abs(apart) + root), 0)
+    cosine = 1 / jnp.sqrt(1 + tangent**2)
+    sine = tangent * cosine
+    values = jnp.stack([a[0, 0] - tangent * a[0, 1], a[1, 1] + tangent * a[0, 1]])
+    return values, jnp.stack([jnp.stack([cosine, sine]), jnp.stack([-sine, cosine])])
 
 
 def solve_lower(lower: jax.Array, b: jax.Array) -> jax.Array:
