@@ -176,6 +176,8 @@ def eigen(a: jax.Array) -> tuple[jax.Array, jax.Array]:
 
     Two rows are turned by one Jacobi rotation; from three on LAPACK does one matrix after the other.
     """
+    if a.shape[0] == 1:
+        return a[0], jnp.ones_like(a)
     if a.shape[0] != 2:
         values, vectors = jnp.linalg.eigh(jnp.moveaxis(a, (0, 1), (-2, -1)))
         return jnp.moveaxis(values, -1, 0), jnp.moveaxis(vectors, (-2, -1), (0, 1))
