@@ -1,4 +1,4 @@
-"""Plans for five models: does the choice keep its budget, and is it the best of what was tried? `python benchmarks/planning.py [NAME ...]`.
+"""Plans for five models: does the choice keep its budget, and is it the best that was tried? `python benchmarks/planning.py [NAME ...]`.
 
 Prints each plan and at last, for each model, budget, predicted and measured time of the choice, and the best other candidate's RMSE over it.
 """
@@ -37,7 +37,7 @@ def mixed():
 
 
 def seven_of_nine():
-    """Nine states, seven of them linear: two positions seen from two beacons, each with a drifting velocity; five slow biases of the ranges."""
+    """Nine states, seven of them linear: a position seen from five beacons, its velocity, and the slow biases of the five ranges."""
     A = np.eye(9)
     A[0, 2] = A[1, 3] = 0.5
     A[4:, 4:] *= 0.95
@@ -72,6 +72,6 @@ if __name__ == "__main__":
         budget = 5 * BUDGET if name == "terrain" else BUDGET
         others = found.table.column("RMSE")
         summary.append((name, budget, found.seconds, found.measured, found.measured / budget, min(others[1:], default=np.nan) / others[0]))
-    print("\nmodel            budget  predicted  measured, ms    measured / budget   best other RMSE / choice")
+    print("\nmodel          budget, ms  predicted  measured  measured / budget  best other RMSE / choice")
     for name, budget, seconds, measured, share, other in summary:
         print(f"{name:<15}{1e3 * budget:8.3f}{1e3 * seconds:11.3f}{1e3 * measured:10.3f}{share:16.2f}{other:20.3f}")
