@@ -1,6 +1,6 @@
 """Plans for five models: does the choice keep its budget, and is it the best that was tried? `python benchmarks/planning.py [NAME ...]`.
 
-Prints each plan and at last, for each model, budget, predicted and measured time of the choice, and the best other candidate's RMSE over it.
+Prints each plan and at last, for each model: budget, predicted and measured time of the choice, best other RMSE over its own.
 """
 
 import sys
