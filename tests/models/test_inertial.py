@@ -12,7 +12,7 @@ from motes.models import inertial, mechanization
 from motes.models.inertial import Grade
 
 LATITUDE, LONGITUDE, HEIGHT = np.radians(36.5), np.radians(-84.2), 1500.0
-STEP = 0.1
+STEP = 0.25
 
 
 @lru_cache
@@ -25,6 +25,16 @@ def flight(seconds, speed=250.0):
     velocity = np.stack([pace * np.cos(heading), pace * np.sin(heading), -climb], axis=1)
     attitude = mechanization.attitude_of(0.2 * np.sin(t / 9), climb / speed, heading)
     return mechanization.moved((LATITUDE, LONGITUDE, HEIGHT), velocity, attitude, STEP)
+
+
+@lru_cache
+def growth(seconds):
+    """Transition matrix of the errors over the whole flight."""
+    true, total = flight(seconds), np.eye(15)
+    for k, force in enumerate(mechanization.readings(true, STEP).force):
+        F = inertial.error_growth(true.latitude[k], true.height[k], true.velocity[k], true.attitude[k] @ force, true.attitude[k])
+        total = expm(F * STEP) @ total
+    return total
 
 
 def first(motion):
@@ -49,9 +59,9 @@ def test_ideal_sensors_of_a_resting_body():
 @pytest.mark.parametrize("at", range(15))
 def test_errors_grow_as_the_model_says(at):
     """A small error in each state, put into the mechanization of a weaving flight, against the transition matrices of its steps."""
-    true = flight(40)
+    true = flight(200)
     read = mechanization.readings(true, STEP)
-    sizes = np.repeat([2e-4, 0.1, 20.0, 2e-3, 2e-6], 3)
+    sizes = np.repeat([2e-5, 0.01, 2.0, 2e-4, 2e-7], 3)
     error = np.zeros(15)
     error[at] = sizes[at]
     # x is added to the inertial value to get the true one
@@ -66,13 +76,11 @@ def test_errors_grow_as_the_model_says(at):
     wrong = mechanization.Readings(read.rate - error[12:], read.force - error[9:12])
     found = mechanization.errors(true, mechanization.mechanized(place, wrong, STEP))
     assert np.abs(found[0] - error[:9]).max() < 1e-3 * sizes[at]
-    x = error
-    for k in range(len(read.force)):
-        F = inertial.error_growth(true.latitude[k], true.height[k], true.velocity[k], true.attitude[k] @ read.force[k], true.attitude[k])
-        x = expm(F * STEP) @ x
+    x = growth(200) @ error
     scale = np.abs(x[:9]).reshape(3, 3).max(axis=1).repeat(3)
-    floor = np.repeat([1e-7, 1e-4, 3e-3], 3)
-    assert (np.abs(found[-1] - x[:9]) < 0.03 * scale + floor).all(), (found[-1], x[:9])
+    floor = np.repeat([1e-9, 1e-6, 1e-5], 3)
+    tolerance = 0.02 if at in (2, 14) else 0.006  # what a heading error does, weaker than the rest, feels the length of the steps
+    assert (np.abs(found[-1] - x[:9]) < tolerance * scale + floor).all(), (found[-1], x[:9])
 
 
 def test_discretization_against_fine_steps():
