@@ -14,6 +14,8 @@ with the specific force f, the Earth's rate Omega, the transport rate rho, eps =
 of gravity dg = (-g/R dR_N, -g/R dR_E, 2 g/R dR_D), which makes horizontal errors swing with the Schuler period and heights unstable.
 """
 
+from typing import Any
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -77,8 +79,8 @@ GRADES = {"navigation": NAVIGATION, "tactical": TACTICAL, "consumer": CONSUMER}
 """Typical sensors: 0.01, 1 and 100 degrees per hour; 50, 1 000 and 5 000 micro-g."""
 
 
-def radii(latitude: float) -> tuple[float, float]:
-    """Return the radii of curvature of the ellipsoid along the meridian and across it, m, at a latitude in rad."""
+def radii(latitude: Any) -> tuple[Any, Any]:
+    """Return the radii of curvature of the ellipsoid along the meridian and across it, m, at a latitude (or latitudes) in rad."""
     bulge = 1 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
     return SEMI_MAJOR * (1 - ECCENTRICITY_SQUARED) / bulge**1.5, SEMI_MAJOR / np.sqrt(bulge)
 

@@ -68,7 +68,8 @@ def moved(start: tuple[float, float, float], velocity: np.ndarray, attitude: np.
     place = [np.asarray(start, np.float64)]
     for now, then in zip(velocity[:-1], velocity[1:], strict=True):
         place.append(_displaced(place[-1], (now + then) / 2, step))
-    return Motion(*np.stack(place, axis=1), velocity, attitude)
+    latitude, longitude, height = np.stack(place, axis=1)
+    return Motion(latitude, longitude, height, velocity, attitude)
 
 
 def readings(motion: Motion, step: float) -> Readings:
@@ -104,7 +105,8 @@ def mechanized(start: Motion, read: Readings, step: float) -> Motion:
         velocity, attitude = after, turned @ attitude @ turn
         instants.append((place, velocity, attitude))
     places, velocities, attitudes = (np.stack(part) for part in zip(*instants, strict=True))
-    return Motion(*places.T, velocities, attitudes)
+    latitude, longitude, height = places.T
+    return Motion(latitude, longitude, height, velocities, attitudes)
 
 
 def disturbed(seed: int, ideal: Readings, grade: Grade, step: float) -> tuple[Readings, np.ndarray]:
