@@ -11,18 +11,9 @@ import numpy as np
 
 import motes as mo
 from motes.applications.terrain_navigation import scenario
-from motes.models.textbook import radar_tracking
+from motes.models.textbook import growth, radar_tracking
 
 BUDGET = 2e-4
-
-
-def growth():
-    """The univariate growth model: nothing is linear."""
-    return mo.StateSpaceModel(
-        mo.Gaussian([0.0], [[5.0]]),
-        mo.AdditiveGaussian(lambda x, u, t: x / 2 + 25 * x / (1 + x**2) + 8 * jnp.cos(1.2 * t), [[10.0]]),
-        mo.AdditiveGaussian(lambda x, u, t: x**2 / 20, [[1.0]]),
-    )
 
 
 def mixed():
