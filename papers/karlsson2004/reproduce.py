@@ -1,0 +1,106 @@
+"""Reproduces paper 000: figures 1 to 3 and tables II and III, on this machine.
+
+    python papers/karlsson2004/reproduce.py [figure1 figure2 figure3 table2 table3 tracks] [--runs 100] [--engines jax native] [--quick]
+
+Numbers and pictures go to out/karlsson2004. All of it takes some twenty minutes on two cores; leave the machine alone meanwhile. A quick run
+has few runs and few particles: it tries the program out, and its numbers mean nothing.
+"""
+
+import argparse
+import os
+import platform
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+import accuracy
+import clock
+import ratios
+import scenario
+import times
+from printed import FULL, TABLE_II, TABLE_III
+
+import motes as mo
+from motes.io.archive import provenance
+
+PARTS = ("figure1", "figure2", "figure3", "table2", "table3", "tracks")
+ENGINES = ("jax", "native")
+TURNS = 5
+
+
+def options() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description="Reproduces paper 000 (Karlsson, Schon, Gustafsson).")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all if none is named")
+    parser.add_argument("--runs", type=int, default=100, help="sets of measurements (100)")
+    parser.add_argument("--engines", nargs="+", choices=ENGINES, default=ENGINES, help="engines to measure (both)")
+    parser.add_argument("--out", type=Path, default=Path("out/karlsson2004"), help="folder of the results")
+    parser.add_argument("--quick", action="store_true", help="try the program out")
+    given = parser.parse_args()
+    for part in given.parts:
+        if part not in PARTS:
+            parser.error(f"part: expected one of {', '.join(PARTS)}, got {part!r}")
+    return given
+
+
+def usable(engines: list[str]) -> list[str]:
+    """Return the engines that this machine has, and say which ones it lacks."""
+    found = []
+    for name in engines:
+        with mo.engine(name):
+            plan = scenario.experiment("short", {FULL: 16}, 1)
+            history = mo.run(0, plan.filters[FULL], plan.model, plan.drawn(0)[1])
+        if history.engine == name:
+            found.append(name)
+        else:
+            print(f"engine {name}: not here (its run was done by {history.engine})")
+    return found
+
+
+def results(given: argparse.Namespace) -> Iterator[str]:
+    """Do what was asked for, and give what to print."""
+    parts, quick, out = given.parts or PARTS, given.quick, given.out
+    runs, turns = (4, 1) if quick else (given.runs, TURNS)
+    matched = cache(lambda: clock.matched(500 if quick else TABLE_II["PPPPPP"][0], turns))
+    if "figure1" in parts:
+        yield ratios.reproduce("figure1", ratios.FIGURE_1, out)
+    if "figure2" in parts:
+        yield ratios.reproduce("figure2", ratios.FIGURE_2, out)
+    for engine in usable(given.engines) if set(parts) - {"figure1", "figure2"} else ():
+        matched.cache_clear()
+        with mo.engine(engine):
+            if "figure3" in parts:
+                yield times.reproduce(engine, turns, quick, out)
+            for place in ("short",) if quick else ("short", "close", "long"):
+                if "table2" in parts:
+                    table = accuracy.table_2(place, matched(), runs)
+                    yield saved(f"table2_{place}_{engine}", table, out)
+            for place in ("short",) if quick else ("short", "close"):
+                if "table3" in parts:
+                    table = accuracy.table_3(place, 300 if quick else TABLE_III["PPPPPP"][0], runs, turns, quick)
+                    yield saved(f"table3_{place}_{engine}", table, out)
+            if "tracks" in parts and engine == given.engines[-1]:
+                yield accuracy.tracks(matched(), runs, quick, out)
+
+
+def saved(name: str, table: mo.Table, out: Path) -> str:
+    """Save a table as CSV and Markdown, and return it with its name."""
+    table.save(out / f"{name}.csv")
+    table.save(out / f"{name}.md")
+    return f"{name}\n{table}"
+
+
+def main() -> None:
+    """Print and keep the results."""
+    given = options()
+    given.out.mkdir(parents=True, exist_ok=True)
+    facts = provenance() | {"system": platform.platform(), "cores": str(os.cpu_count()), "load": f"{os.getloadavg()[0]:.1f}"}
+    print(", ".join(f"{name} {value}" for name, value in facts.items()), flush=True)
+    for text in results(given):
+        print(f"\n{text}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
