@@ -1,4 +1,4 @@
-"""What paper 000 prints (Karlsson, Schon, Gustafsson: Complexity analysis of the marginalized particle filter), and the errors of its own count."""
+"""What paper 000 prints (Karlsson, Schon, Gustafsson 2005), and the errors of its count of flops on its own times."""
 
 import numpy as np
 

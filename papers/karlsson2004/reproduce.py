@@ -2,8 +2,8 @@
 
     python papers/karlsson2004/reproduce.py [figure1 figure2 figure3 table2 table3 tracks] [--runs 100] [--engines jax native] [--quick]
 
-Numbers and pictures go to out/karlsson2004. All of it takes some twenty minutes on two cores; leave the machine alone meanwhile. A quick run
-has few runs and few particles: it tries the program out, and its numbers mean nothing.
+Numbers and pictures go to out/karlsson2004. All of it takes some twenty minutes on two cores; leave the machine alone meanwhile. A quick
+run has few runs and partitions: it tries the program out, and its numbers mean nothing.
 """
 
 import argparse
@@ -15,19 +15,21 @@ from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
-import accuracy
 import clock
 import ratios
 import scenario
+import tables
 import times
-from printed import FULL, TABLE_II, TABLE_III
+from printed import FULL, KALMAN, PLAIN, TABLE_II
 
 import motes as mo
 from motes.io.archive import provenance
 
 PARTS = ("figure1", "figure2", "figure3", "table2", "table3", "tracks")
 ENGINES = ("jax", "native")
-TURNS = 5
+SCENARIOS = ("short", "close", "long")
+TURNS, ATTEMPTS = 8, 6
+PRECISION = 0.05
 
 
 def options() -> argparse.Namespace:
@@ -62,27 +64,27 @@ def usable(engines: list[str]) -> list[str]:
 def results(given: argparse.Namespace) -> Iterator[str]:
     """Do what was asked for, and give what to print."""
     parts, quick, out = given.parts or PARTS, given.quick, given.out
-    runs, turns = (4, 1) if quick else (given.runs, TURNS)
-    matched = cache(lambda: clock.matched(500 if quick else TABLE_II["PPPPPP"][0], turns))
+    runs, turns, attempts = (8, 1, 2) if quick else (given.runs, TURNS, ATTEMPTS)
+    partitions = (PLAIN, FULL) if quick else tuple(KALMAN)
+    matched = cache(lambda: clock.matched(partitions, TABLE_II[PLAIN][0], turns, attempts))
     if "figure1" in parts:
         yield ratios.reproduce("figure1", ratios.FIGURE_1, out)
     if "figure2" in parts:
         yield ratios.reproduce("figure2", ratios.FIGURE_2, out)
-    for engine in usable(given.engines) if set(parts) - {"figure1", "figure2"} else ():
+    engines = usable(given.engines) if set(parts) - {"figure1", "figure2"} else []
+    for engine in engines:
         matched.cache_clear()
         with mo.engine(engine):
             if "figure3" in parts:
-                yield times.reproduce(engine, turns, quick, out)
-            for place in ("short",) if quick else ("short", "close", "long"):
-                if "table2" in parts:
-                    table = accuracy.table_2(place, matched(), runs)
-                    yield saved(f"table2_{place}_{engine}", table, out)
-            for place in ("short",) if quick else ("short", "close"):
-                if "table3" in parts:
-                    table = accuracy.table_3(place, 300 if quick else TABLE_III["PPPPPP"][0], runs, turns, quick)
-                    yield saved(f"table3_{place}_{engine}", table, out)
-            if "tracks" in parts and engine == given.engines[-1]:
-                yield accuracy.tracks(matched(), runs, quick, out)
+                yield times.reproduce(engine, partitions, turns, quick, out)
+            for place in SCENARIOS if "table2" in parts else ():
+                yield saved(f"table2_{place}_{engine}", tables.table_2(place, matched(), runs), out)
+            for place in ("short", "close") if "table3" in parts else ():
+                # the two ends of the search are all that a quick run tries
+                table = tables.table_3(place, partitions, runs, turns, float("inf") if quick else PRECISION)
+                yield saved(f"table3_{place}_{engine}", table, out)
+            if "tracks" in parts and engine == engines[-1]:
+                yield tables.tracks(matched(), runs, 3 if quick else scenario.TRACKS, out)
 
 
 def saved(name: str, table: mo.Table, out: Path) -> str:

@@ -1,7 +1,7 @@
 """The scenarios of tables II and III: what the paper leaves open, filled in.
 
-The paper prints neither the period, nor the number of steps, nor start and prior, nor the way of resampling. Here: half a second, 100 steps,
-systematic resampling at every step, one fixed track drawn from the model, 100 sets of measurements.
+The paper prints neither the period, nor the number of steps, nor start and prior, nor the way of resampling. Here: half a second, 100
+steps, systematic resampling at every step, one fixed track drawn from the model, 100 sets of measurements.
 """
 
 import jax

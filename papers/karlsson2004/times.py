@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from clock import in_turns
-from printed import KALMAN, flops, own_errors
+from printed import flops, own_errors
 
 import motes as mo
 from motes.plotting.figures import COLORS, TRUE, new_figure, tidy
@@ -19,15 +19,15 @@ TRIED = (500, 1_000, 2_000)
 """Of a quick run: the first is judged and the others are fitted."""
 
 
-def measured(turns: int, quick: bool) -> mo.Table:
+def measured(partitions: tuple[str, ...], turns: int, quick: bool) -> mo.Table:
     """Return measured and predicted microseconds of a step on the engine in force, and which rows are judged."""
     fitted, judged = (TRIED[1:], TRIED[:1]) if quick else (FITTED, JUDGED)
     calibration = mo.calibrate(refresh=not quick)
-    times = in_turns([(name, n) for name in KALMAN for n in sorted({*fitted, *judged})], turns)
+    times = in_turns([(name, n) for name in partitions for n in (*fitted, *judged)], turns)
     rows = []
-    for name in KALMAN:
+    for name in partitions:
         line = mo.StepTime.fitted(tuple((n, times[name, n]) for n in fitted))
-        for n in sorted({*fitted, *judged}):
+        for n in sorted((*fitted, *judged)):
             seconds = times[name, n], line.seconds(n), flops(name, n, calibration.costs) * calibration.flop.value
             rows.append((name, n, *(1e6 * value for value in seconds), "yes" if n in judged else "no"))
     return mo.Table(("partition", "N", "measured", "line", "flops", "judged"), tuple(rows))
@@ -42,7 +42,7 @@ def errors(table: mo.Table, model: str) -> list[float]:
 def draw(table: mo.Table, path: Path) -> None:
     """Draw a panel for each partition: measured times, the line, the count of flops."""
     figure = new_figure(9, 6)
-    for place, name in enumerate(KALMAN):
+    for place, name in enumerate(dict.fromkeys(table.column("partition"))):
         axes = figure.add_subplot(2, 2, place + 1)
         tidy(axes)
         rows = [row for row in table.rows if row[0] == name]
@@ -55,9 +55,9 @@ def draw(table: mo.Table, path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
-def reproduce(engine: str, turns: int, quick: bool, out: Path) -> str:
+def reproduce(engine: str, partitions: tuple[str, ...], turns: int, quick: bool, out: Path) -> str:
     """Write times and picture for an engine, and return the summary to print."""
-    table = measured(turns, quick)
+    table = measured(partitions, turns, quick)
     table.save(out / f"figure3_{engine}.csv")
     draw(table, out / f"figure3_{engine}.png")
     cases = {"line": errors(table, "line"), "equivalent flops": errors(table, "flops"), "the paper's own": own_errors()}

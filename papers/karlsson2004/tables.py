@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 from clock import Matched, in_turns
-from printed import FULL, KALMAN, PLAIN, TABLE_II, TABLE_III
-from scenario import BLOCKS, TRACKS, experiment, nearest, track
+from printed import FULL, PLAIN, TABLE_II, TABLE_III
+from scenario import BLOCKS, experiment, nearest, track
 
 import motes as mo
 from motes.plotting.figures import COLORS, new_figure, tidy
@@ -20,26 +20,27 @@ def table_2(scenario: str, match: Matched, runs: int) -> mo.Table:
     plan = experiment(scenario, match.sizes, runs)
     result = mo.study(plan, progress=False)
     errors = result.table(mo.kalman_at_truth(plan.model, plan.track))
-    printed = [row[1 + list(BLOCKS).index(block)] for row in TABLE_II.values() for block in BLOCKS]
     rows = []
-    for row, paper in zip(errors.rows, printed, strict=True):
+    for row in errors.rows:
         cells = dict(zip(errors.columns, row, strict=True))
-        name = cells["filter"]
+        name, block = cells["filter"], cells["block"]
+        paper = TABLE_II[name][1 + list(BLOCKS).index(block)]
         plain = cells["RMSE"] - cells["difference"] if name != PLAIN else cells["RMSE"]
         share, error = (100 * (cells[which] / plain) for which in ("difference", "s.e. of it"))
         times = 1e6 * match.seconds[name], match.seconds[name] / match.seconds[PLAIN]
         kept = (cells[which] for which in ("RMSE", "s.e.", "median"))
-        rows.append((name, match.sizes[name], *times, cells["block"], *kept, share, error, cells["of bound"], cells["lost"], paper))
+        rows.append((name, match.sizes[name], *times, block, *kept, share, error, cells["of bound"], cells["lost"], paper))
     columns = ("partition", "N", "us/step", "of plain", "block", "RMSE", "s.e.", "median run", "to plain, percent", "s.e. of it",
                "of Kalman at truth", "lost", "paper")
     return mo.Table(columns, tuple(rows))
 
 
-def table_3(scenario: str, n: int, runs: int, turns: int, quick: bool) -> mo.Table:
-    """Return how many particles each partition needs for the velocity RMSE of the plain filter with n."""
-    plan = experiment(scenario, dict.fromkeys(KALMAN, n), runs)
-    names = [FULL] if quick else [name for name in KALMAN if name != PLAIN]
-    found = {name: mo.particles_for_rmse(plan, name, "velocity", PLAIN, (FEWEST, n), 0.5 if quick else 0.05) for name in names}
+def table_3(scenario: str, partitions: tuple[str, ...], runs: int, turns: int, precision: float) -> mo.Table:
+    """Return how many particles each partition needs for the velocity RMSE of the plain filter with the paper's number."""
+    n = TABLE_III[PLAIN][0]
+    plan = experiment(scenario, dict.fromkeys(partitions, n), runs)
+    others = [name for name in partitions if name != PLAIN]
+    found = {name: mo.particles_for_rmse(plan, name, "velocity", PLAIN, (FEWEST, n), precision) for name in others}
     sizes = {PLAIN: n} | {name: needed.n for name, needed in found.items()}
     result = mo.study(experiment(scenario, sizes, runs), progress=False)
     times = in_turns(sizes.items(), turns)
@@ -53,11 +54,11 @@ def table_3(scenario: str, n: int, runs: int, turns: int, quick: bool) -> mo.Tab
     return mo.Table(columns, tuple(rows))
 
 
-def tracks(match: Matched, runs: int, quick: bool, out: Path) -> str:
+def tracks(match: Matched, runs: int, count: int, out: Path) -> str:
     """Compare full marginalization with the plain filter on many tracks, and return the summary to print."""
     sizes = {name: match.sizes[name] for name in (PLAIN, FULL)}
     rows = []
-    for seed in range(3 if quick else TRACKS):
+    for seed in range(count):
         xs = track(seed)
         squared = mo.study(experiment("short", sizes, runs, xs), progress=False).squared_errors("position")
         plain, full = (accuracy(own).rmse for own in squared)
@@ -73,5 +74,5 @@ def tracks(match: Matched, runs: int, quick: bool, out: Path) -> str:
     axes.set(xlabel="smallest range of the track, m", ylabel="gain in position RMSE, percent")
     figure.savefig(out / "tracks.png", dpi=150)
     gains = np.array(columns[1])
-    spread = f"median {np.median(gains):.1f} percent, {gains.min():.1f} to {gains.max():.1f}, {np.sum(gains >= 15)} of {gains.size} at 15 or more"
-    return f"gain of full marginalization over {gains.size} tracks: {spread}\n{table}"
+    spread = f"median {np.median(gains):.1f} percent, {gains.min():.1f} to {gains.max():.1f}"
+    return f"gain of full marginalization: {spread}; 15 or more on {np.sum(gains >= 15)} of {gains.size} tracks\n{table}"
