@@ -52,7 +52,7 @@ def usable(engines: list[str]) -> list[str]:
     found = []
     for name in engines:
         with mo.engine(name):
-            plan = scenario.experiment("short", {FULL: 16}, 1)
+            plan = scenario.experiment("short", {FULL: TABLE_II[FULL][0]}, 1)
             history = mo.run(0, plan.filters[FULL], plan.model, plan.drawn(0)[1])
         if history.engine == name:
             found.append(name)
