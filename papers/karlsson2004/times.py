@@ -41,9 +41,10 @@ def errors(table: mo.Table, model: str) -> list[float]:
 
 def draw(table: mo.Table, path: Path) -> None:
     """Draw a panel for each partition: measured times, the line, the count of flops."""
-    figure = new_figure(9, 6)
-    for place, name in enumerate(dict.fromkeys(table.column("partition"))):
-        axes = figure.add_subplot(2, 2, place + 1)
+    partitions = list(dict.fromkeys(table.column("partition")))
+    figure = new_figure(9, 3 * len(partitions) / 2)
+    for place, name in enumerate(partitions):
+        axes = figure.add_subplot(len(partitions) // 2, 2, place + 1)
         tidy(axes)
         rows = [row for row in table.rows if row[0] == name]
         n = [row[1] for row in rows]
