@@ -5,18 +5,22 @@ from pathlib import Path
 import numpy as np
 from clock import Matched, in_turns
 from printed import FULL, PLAIN, TABLE_II, TABLE_III
-from scenario import BLOCKS, experiment, nearest, track
+from scenario import BLOCKS, experiment, make_filter, nearest, track
 
 import motes as mo
+from motes.core.record import replace
 from motes.plotting.figures import COLORS, new_figure, tidy
 from motes.studies.tables import accuracy, difference
 
-FEWEST = 30
+FEWEST = 10
 """Particles at which the search of table III begins."""
 
 
 def table_2(scenario: str, match: Matched, runs: int) -> mo.Table:
-    """Return accuracy at equal times: one row for each partition and block."""
+    """Return accuracy at equal times: one row for each partition and block.
+
+    Where runs are lost, "kept" is the RMSE of the others, and partitions are compared over the runs that both of them kept.
+    """
     plan = experiment(scenario, match.sizes, runs)
     result = mo.study(plan, progress=False)
     errors = result.table(mo.kalman_at_truth(plan.model, plan.track))
@@ -24,25 +28,31 @@ def table_2(scenario: str, match: Matched, runs: int) -> mo.Table:
     for row in errors.rows:
         cells = dict(zip(errors.columns, row, strict=True))
         name, block = cells["filter"], cells["block"]
-        paper = TABLE_II[name][1 + list(BLOCKS).index(block)]
-        plain = cells["RMSE"] - cells["difference"] if name != PLAIN else cells["RMSE"]
-        share, error = (100 * (cells[which] / plain) for which in ("difference", "s.e. of it"))
         times = 1e6 * match.seconds[name], match.seconds[name] / match.seconds[PLAIN]
-        kept = (cells[which] for which in ("RMSE", "s.e.", "median"))
-        rows.append((name, match.sizes[name], *times, block, *kept, share, error, cells["of bound"], cells["lost"], paper))
-    columns = ("partition", "N", "us/step", "of plain", "block", "RMSE", "s.e.", "median run", "to plain, percent", "s.e. of it",
+        found = (cells["RMSE"], cells["s.e."], cells.get("kept", cells["RMSE"]), cells["median"])
+        compared = (None, None) if name == PLAIN else change(result, block, result.filters.index(name))
+        paper = TABLE_II[name][1 + list(BLOCKS).index(block)]
+        rows.append((name, match.sizes[name], *times, block, *found, *compared, cells["of bound"], cells["lost"], paper))
+    columns = ("partition", "N", "us/step", "of plain", "block", "RMSE", "s.e.", "kept", "median run", "to plain, percent", "s.e. of it",
                "of Kalman at truth", "lost", "paper")
     return mo.Table(columns, tuple(rows))
 
 
-def table_3(scenario: str, partitions: tuple[str, ...], runs: int, turns: int, precision: float) -> mo.Table:
-    """Return how many particles each partition needs for the velocity RMSE of the plain filter with the paper's number."""
-    n = TABLE_III[PLAIN][0]
-    plan = experiment(scenario, dict.fromkeys(partitions, n), runs)
-    others = [name for name in partitions if name != PLAIN]
+def change(result: mo.StudyResult, block: str, place: int) -> tuple[float, float]:
+    """Return by how many percent the RMSE of a filter is above that of the first one, and the standard error of that."""
+    both = ~(result.lost[0] | result.lost[place])
+    squared = result.squared_errors(block)[:, both]
+    first, beyond = accuracy(squared[0]), difference(squared[place], squared[0])
+    return 100 * beyond.rmse / first.rmse, 100 * beyond.error / first.rmse
+
+
+def table_3(plan: mo.Experiment, turns: int, precision: float) -> mo.Table:
+    """Return how many particles each partition of an experiment needs for the velocity RMSE of the first one, the plain filter."""
+    n = plan.filters[PLAIN].n
+    others = [name for name in plan.filters if name != PLAIN]
     found = {name: mo.particles_for_rmse(plan, name, "velocity", PLAIN, (FEWEST, n), precision) for name in others}
     sizes = {PLAIN: n} | {name: needed.n for name, needed in found.items()}
-    result = mo.study(experiment(scenario, sizes, runs), progress=False)
+    result = mo.study(replace(plan, filters={name: make_filter(name, size) for name, size in sizes.items()}), progress=False)
     times = in_turns(sizes.items(), turns)
     rows = []
     for place, (name, size) in enumerate(sizes.items()):
@@ -60,19 +70,20 @@ def tracks(match: Matched, runs: int, count: int, out: Path) -> str:
     rows = []
     for seed in range(count):
         xs = track(seed)
-        squared = mo.study(experiment("short", sizes, runs, xs), progress=False).squared_errors("position")
-        plain, full = (accuracy(own).rmse for own in squared)
-        change = difference(squared[1], squared[0])
-        rows.append((seed, nearest(xs), plain, full, -100 * change.rmse / plain, 100 * change.error / plain))
-    table = mo.Table(("track", "nearest, m", "plain", "marginalized", "gain, percent", "s.e."), tuple(rows))
+        result = mo.study(experiment("short", sizes, runs, xs), progress=False)
+        medians = np.median(np.sqrt(result.squared_errors("position").mean(axis=2)), axis=1)
+        kept = (accuracy(result.squared_errors("position")[place, ~result.lost[place]]).rmse for place in (0, 1))
+        more, error = change(result, "position", 1)
+        rows.append((seed, nearest(xs), *kept, -more, error, 100 * float(1 - medians[1] / medians[0]), *map(int, result.lost.sum(axis=1))))
+    columns = ("track", "nearest, m", "plain", "marginalized", "gain, percent", "s.e.", "of median run", "lost, plain", "lost")
+    table = mo.Table(columns, tuple(rows))
     table.save(out / "tracks.csv")
     figure = new_figure(5.5, 3.6)
     axes = figure.add_subplot()
     tidy(axes)
-    columns = table.column("nearest, m"), table.column("gain, percent"), table.column("s.e.")
-    axes.errorbar(*columns[:2], yerr=columns[2], fmt="o", markersize=4, color=COLORS[0])
+    near, gains, errors = (table.column(name) for name in ("nearest, m", "gain, percent", "s.e."))
+    axes.errorbar(near, gains, yerr=errors, fmt="o", markersize=4, color=COLORS[0])
     axes.set(xlabel="smallest range of the track, m", ylabel="gain in position RMSE, percent")
     figure.savefig(out / "tracks.png", dpi=150)
-    gains = np.array(columns[1])
-    spread = f"median {np.median(gains):.1f} percent, {gains.min():.1f} to {gains.max():.1f}"
-    return f"gain of full marginalization: {spread}; 15 or more on {np.sum(gains >= 15)} of {gains.size} tracks\n{table}"
+    spread = f"median {np.median(gains):.1f} percent, {min(gains):.1f} to {max(gains):.1f}"
+    return f"gain of full marginalization: {spread}; 15 or more on {sum(gain >= 15 for gain in gains)} of {count} tracks\n{table}"
