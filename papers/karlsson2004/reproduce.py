@@ -104,7 +104,7 @@ def main() -> None:
 
 
 def keep_to_one_processor() -> None:
-    """Use one processor, as the paper's machine had: with two, times jump where filters begin to share their work out, and with the load."""
+    """Use one processor, as the paper had: with more, times jump where filters begin to share their work out, and with the load."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
