@@ -8,15 +8,15 @@ from scenario import STEPS, make_filter, model
 
 import motes as mo
 
-WITHIN = 0.05
-"""Times that differ by less than this share are equal."""
+AROUND = (0.7, 1.0, 1.6)
+"""Times are taken at these shares of the plain filter's number of particles."""
 
 Point = tuple[str, int]
 """A partition and its number of particles."""
 
 
 class Matched(NamedTuple):
-    """Numbers of particles with the same time per step, and the seconds that were measured last."""
+    """Numbers of particles with the same time per step, and the seconds that were then measured."""
 
     sizes: dict[str, int]
     seconds: dict[str, float]
@@ -36,18 +36,16 @@ def in_turns(points: Iterable[Point], turns: int) -> dict[Point, float]:
     return least
 
 
-def matched(partitions: tuple[str, ...], n: int, turns: int, attempts: int) -> Matched:
-    """Find the numbers of particles whose steps take as long as those of the plain filter with n, by measuring, correcting, and again.
+def matched(partitions: tuple[str, ...], n: int, turns: int) -> Matched:
+    """Find the numbers of particles whose steps take as long as those of the plain filter with n.
 
-    All are measured anew in each attempt; the times that are returned are those of the numbers that are returned. Where not all are within
-    5 percent in any attempt, the times of the last one show by how much it is off.
+    They are read off the lines through three times of each partition. What is returned is measured afterwards, at these numbers: it shows
+    how well they are met.
     """
-    sizes = dict.fromkeys(partitions, n)
-    for attempt in range(attempts):
-        times = in_turns(sizes.items(), turns)
-        seconds = {name: times[name, size] for name, size in sizes.items()}
-        shares = {name: seconds[name] / seconds[PLAIN] for name in sizes}
-        if all(abs(share - 1) < WITHIN for share in shares.values()) or attempt == attempts - 1:
-            break
-        sizes = {name: size if abs(shares[name] - 1) < WITHIN / 2 else round(size / shares[name]) for name, size in sizes.items()}
-    return Matched(sizes, seconds)
+    around = tuple(round(n * share) for share in AROUND)
+    times = in_turns([(name, size) for name in partitions for size in around], turns)
+    lines = {name: mo.StepTime.fitted(tuple((size, times[name, size]) for size in around)) for name in partitions}
+    budget = lines[PLAIN].seconds(n)
+    sizes = {name: n if name == PLAIN else lines[name].particles(budget) for name in partitions}
+    found = in_turns(sizes.items(), turns)
+    return Matched(sizes, {name: found[name, size] for name, size in sizes.items()})

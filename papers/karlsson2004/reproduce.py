@@ -28,7 +28,7 @@ from motes.io.archive import provenance
 PARTS = ("figure1", "figure2", "figure3", "table2", "table3", "tracks")
 ENGINES = ("jax", "native")
 SCENARIOS = ("short", "close", "long")
-TURNS, ATTEMPTS = 5, 5
+TURNS = 8
 PRECISION = 0.05
 
 
@@ -62,11 +62,11 @@ def usable(engines: Sequence[str]) -> list[str]:
 def results(given: argparse.Namespace) -> Iterator[str]:
     """Do what was asked for, and give what to print."""
     parts, quick, out = given.parts or PARTS, given.quick, given.out
-    runs, turns, attempts = (8, 1, 2) if quick else (given.runs, TURNS, ATTEMPTS)
+    runs, turns = (8, 1) if quick else (given.runs, TURNS)
     # the two ends of the search of table III are all that a quick run tries
     precision, n = (float("inf"), TABLE_II[PLAIN][0]) if quick else (PRECISION, TABLE_III[PLAIN][0])
     partitions = (PLAIN, FULL) if quick else tuple(KALMAN)
-    matched = cache(lambda: clock.matched(partitions, TABLE_II[PLAIN][0], turns, attempts))
+    matched = cache(lambda: clock.matched(partitions, TABLE_II[PLAIN][0], turns))
     if "figure1" in parts:
         yield ratios.reproduce("figure1", ratios.FIGURE_1, out)
     if "figure2" in parts:
