@@ -52,6 +52,9 @@ from .models.state_space import StateSpaceModel as StateSpaceModel
 from .models.structure import Structure as Structure
 from .models.structure import structure as structure
 from .native.choice import engine as engine
+from .planning.plan import Pilot as Pilot
+from .planning.plan import Plan as Plan
+from .planning.plan import plan as plan
 from .plotting.plot import plot as plot
 from .report.html import report as report
 from .resampling.kernels import Regularization as Regularization

@@ -144,6 +144,22 @@ def test_maps_are_refused(folder, capsys):
     assert not (folder / "run").exists()
 
 
+def test_plan_hands_over_what_the_file_says(folder, monkeypatch, capsys):
+    asked = {}
+
+    def plan(model, budget, **options):
+        asked.update(options, model=model, budget=budget)
+        return "the plan"
+
+    monkeypatch.setattr("motes.planning.plan.plan", plan)
+    assert main(["plan", str(folder / "terrain.toml"), "--budget", "2.5ms", "--fixes", "30", "--runs", "4", "--seed", "9"]) == 0
+    assert capsys.readouterr().out == "the plan\n"
+    assert asked["budget"] == pytest.approx(2.5e-3) and asked["states"] == ("rN", "rE") and asked["verify"] is False
+    assert (asked["pilot"].runs, asked["pilot"].seed, asked["pilot"].inputs.north.shape) == (4, 9, (30,))
+    for budget in ("5", "0ms", "ms", "-1s", "five ms"):
+        refused(capsys, ["plan", folder / "terrain.toml", f"--budget={budget}"], "budget", "5ms", repr(budget))
+
+
 @pytest.mark.parametrize(("arguments", "words"), [
     (["fly"], ("'fly'", "demo")),
     (["demo", "moon"], ("'moon'", "terrain")),
@@ -155,6 +171,8 @@ def test_maps_are_refused(folder, capsys):
     (["run"], ("TOML", "nothing")),
     (["run", "none.toml"], ("none.toml",)),
     (["run", "--seed", "3"], ("TOML", "--seed")),
+    (["plan", "--seed", "3"], ("TOML", "--seed")),
+    (["plan", "none.toml"], ("none.toml",)),
     (["doctor", "now"], ("now",)),
 ])
 def test_bad_words_are_refused(tmp_path, monkeypatch, capsys, arguments, words):

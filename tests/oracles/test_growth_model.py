@@ -5,19 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import motes as mo
-
-
-def growth_model():
-    """x' = x/2 + 25 x/(1+x^2) + 8 cos(1.2 t) + N(0, 10), y = x^2/20 + N(0, 1), x_0 ~ N(0, 5)."""
-    return mo.StateSpaceModel(
-        mo.Gaussian([0.0], [[5.0]]),
-        mo.AdditiveGaussian(lambda x, u, t: x / 2 + 25 * x / (1 + x**2) + 8 * jnp.cos(1.2 * t), [[10.0]]),
-        mo.AdditiveGaussian(lambda x, u, t: x**2 / 20, [[1.0]]),
-    )
+from motes.models.textbook import growth
 
 
 def test_particle_filter_is_within_three_percent_of_the_exact_filter():
-    model = growth_model()
+    model = growth()
     exact = mo.PointMassFilter(-45.0, 45.0, 1200)
     errors = {"exact": [], "particle": []}
     for seed in range(6):

@@ -190,4 +190,7 @@ def test_mixed_linear_model_by_hand_equals_the_traced_one(answers, double):
     ours, theirs = (mo.run(5, mo.MarginalizedParticleFilter(n=5000), m, ys) for m in (model, traced))
     assert np.allclose(ours.mean, theirs.mean, atol=1e-9)
     plain = mo.run(5, mo.ParticleFilter(n=50_000), model, ys)
-    assert np.abs(plain.mean - means).max() < 0.05
+    nothing = mo.run(5, mo.MarginalizedParticleFilter(n=50_000, linear=()), model, ys)
+    assert nothing.state.kalman.center.shape[0] == 0  # asked for fewer than the model's own: not the model's own
+    for history in (plain, nothing):
+        assert np.abs(history.mean - means).max() < 0.05

@@ -9,6 +9,7 @@ import pytest
 import motes as mo
 from data import refused
 from motes.models.terrain import TerrainMap
+from motes.planning.plan import COLUMNS
 from motes.plotting.terrain import Tracks, error_figure, map_figure
 
 
@@ -34,6 +35,14 @@ def test_history(history):
     np.testing.assert_allclose(band[:, 1].max(), np.max(history.mean[:, 0] + 2 * np.sqrt(history.cov[:, 0, 0])), rtol=1e-5)
     assert png(figure)[:4] == b"\x89PNG"
     assert len(mo.plot(history).axes[0].lines) == 1
+
+
+def test_plan():
+    rows = (("marginalized x", 900, 1.0, None, 1.5, 0.1, None, 0, 16), ("plain $x$", 1200, 1.0, None, 2.5, 0.2, None, 0, 8))
+    figure = mo.plot(mo.Plan(mo.ParticleFilter(n=900), 1e-3, mo.Table(COLUMNS, rows)))
+    assert [text.get_text() for text in figure.axes[0].get_yticklabels()] == ["marginalized x", r"plain \$x\$"]
+    assert [list(line.get_xdata()) for line in figure.axes[0].lines] == [[1.5], [2.5]]
+    assert png(figure)[:4] == b"\x89PNG"
 
 
 def test_wrong_results_are_refused(history):

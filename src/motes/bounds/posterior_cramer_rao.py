@@ -28,7 +28,6 @@ from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
-from motes.models.mixed_linear import JoinedInitial
 from motes.models.state_space import StateSpaceModel, check_inputs, step_inputs
 from motes.models.structure import trace
 
@@ -83,9 +82,8 @@ def _check_model(model: Any) -> tuple[str, ...]:
         if not isinstance(part, AdditiveGaussian):
             checks.refuse(f"posterior_cramer_rao {name}", "LinearGaussian or AdditiveGaussian", type(part).__name__,
                           "The bound is known for additive Gaussian noise only.")
-    initial = given.initial.initial_p if isinstance(given.initial, JoinedInitial) else given.initial
-    if not isinstance(initial, Gaussian):
-        checks.refuse("posterior_cramer_rao initial", "a Gaussian", type(initial).__name__)
+    if not isinstance(given.initial, Gaussian):
+        checks.refuse("posterior_cramer_rao initial", "a Gaussian", type(given.initial).__name__)
     if given.noise_cross_cov is not None:
         checks.refuse("posterior_cramer_rao model", "independent process and measurement noise", "noise_cross_cov")
     return given.names

@@ -101,29 +101,36 @@ class MixedLinearModel:
 
     def joined(self) -> StateSpaceModel:
         """Return the same model as one state-space model in the user's order of states, for filters that do not split it."""
-        back = jnp.asarray(self.order)
-        kept = jnp.asarray([i for i in range(self.size) if i not in self.linear] + list(self.linear))
-        p = self.sizes[0]
+        back, p = self.order, self.sizes[0]
+        kept = tuple(i for i in range(self.size) if i not in self.linear)
+
+        def parts_of(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return linalg.take(x, kept), linalg.take(x, self.linear)
 
         def dynamics_mean(x: jax.Array, u: Any, t: Any) -> jax.Array:
-            x = x[kept]
-            parts = (self.particle(x[:p], u, t), self.kalman(x[:p], u, t))
-            return jnp.concatenate([f + A @ x[p:] for f, A, _ in parts])[back]
+            x_p, x_k = parts_of(x)
+            parts = (self.particle(x_p, u, t), self.kalman(x_p, u, t))
+            return linalg.take(jnp.concatenate([f + A @ x_k for f, A, _ in parts]), back)
 
         def dynamics_cov(x: jax.Array, u: Any, t: Any) -> jax.Array:
-            x_p = x[kept][:p]
+            x_p = parts_of(x)[0]
             Q_p, Q_k = self.particle(x_p, u, t)[2], self.kalman(x_p, u, t)[2]
             cross = jnp.zeros((p, Q_k.shape[0]), x.dtype) if self.cross_cov is None else self.cross_cov(x_p, u, t)
-            return jnp.block([[Q_p, cross], [cross.T, Q_k]])[back][:, back]
+            return linalg.take(linalg.take(jnp.block([[Q_p, cross], [cross.T, Q_k]]), back), back, axis=1)
 
         def sensor_mean(x: jax.Array, u: Any, t: Any) -> jax.Array:
-            h, C, _ = self.sensor(x[kept][:p], u, t)
-            return h + C @ x[kept][p:]
+            x_p, x_k = parts_of(x)
+            h, C, _ = self.sensor(x_p, u, t)
+            return h + C @ x_k
+
+        initial: Law = JoinedInitial(self.initial_p, self.initial_k, self.initial_gain, self.order)
+        if isinstance(self.initial_p, Gaussian):
+            initial = Gaussian(initial.mean(), initial.cov())
 
         return StateSpaceModel(
-            JoinedInitial(self.initial_p, self.initial_k, self.initial_gain, self.order),
+            initial,
             AdditiveGaussian(dynamics_mean, dynamics_cov),
-            AdditiveGaussian(sensor_mean, lambda x, u, t: self.sensor(x[kept][:p], u, t)[2], self.angles),
+            AdditiveGaussian(sensor_mean, lambda x, u, t: self.sensor(parts_of(x)[0], u, t)[2], self.angles),
             self.names,
         )
 

@@ -77,7 +77,7 @@ def split(model: Any, linear: tuple[str | int, ...] | None, inputs: Inputs) -> S
     if isinstance(model, SplitModel):
         return model
     if isinstance(model, MixedLinearModel):
-        if linear is not None and set(linear) - set(model.linear) - {model.names[i] for i in model.linear}:
+        if linear is not None and {model.joined().index(state) for state in linear} != set(model.linear):
             return split(model.joined(), linear, inputs)
         varies = _mixed_varies(model, inputs)
         return SplitModel(model, None, varies, bool(varies), True)

@@ -35,3 +35,15 @@ def radar_tracking(period: float = 0.5) -> StateSpaceModel:
         AdditiveGaussian(radar, diagonal(100, 1e-6), angles=(1,)),
         ("px", "py", "vx", "vy", "ax", "ay"),
     )
+
+
+def growth() -> StateSpaceModel:
+    """The growth model, bimodal and strongly nonlinear: x' = x/2 + 25 x/(1 + x^2) + 8 cos(1.2 t) + N(0, 10), y = x^2/20 + N(0, 1).
+
+    x_0 has the law N(0, 5); papers differ in that and in the phase of the cosine.
+    """
+    return StateSpaceModel(
+        Gaussian(jnp.zeros(1), 5 * jnp.eye(1)),
+        AdditiveGaussian(lambda x, u, t: x / 2 + 25 * x / (1 + x**2) + 8 * jnp.cos(1.2 * t), 10 * jnp.eye(1)),
+        AdditiveGaussian(lambda x, u, t: x**2 / 20, jnp.eye(1)),
+    )

@@ -16,7 +16,7 @@ PRECISION = 0.2
 
 
 def needed(
-    options: list[Candidate], experiment: Experiment, target: float | None, seconds: Callable[[Candidate], float]
+    options: list[Candidate], experiment: Experiment, target: float, seconds: Callable[[Candidate], float]
 ) -> dict[str, Candidate]:
     """Return the candidates that reach an RMSE, with the number of particles that each needs.
 

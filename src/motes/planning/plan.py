@@ -117,7 +117,11 @@ def plan(
     # a step's share of what happens once a run is to be small beside the budget
     timed = steps if pilot.inputs is not None or budget is None else int(np.clip(SPAN / budget, steps, LONGEST))
     clock = Clock(model, simulate(pilot.seed, model, timed, pilot.inputs)[1], pilot.inputs, costs, pilot.progress)
-    fitting = clock.fitting(options, budget) if budget is not None else clock.timed(needed(options, first, accuracy, clock.seconds))
+    if accuracy is None:
+        assert budget is not None
+        fitting = clock.fitting(options, budget)
+    else:
+        fitting = clock.timed(needed(options, first, accuracy, clock.seconds))
     last = experiment({name: one.filter for name, one in fitting.items()}, runs=pilot.runs)
     found, unit = trials(last, states, pilot.progress)
     most = max(trial.runs for trial in found.values())
@@ -125,7 +129,7 @@ def plan(
     order = sorted(fitting, key=lambda name: (accuracy is None and found[name].runs < most, by(name)))
     least = _least(last, unit)
     rows = tuple(_row(name, fitting[name], found[name], least) for name in order)
-    best = fitting[order[0]]
+    best = clock.refined(fitting[order[0]], budget)
     measured = seconds_per_step(best.filter, model, clock.ys, pilot.inputs) if verify else None
     return Plan(best.filter, best.seconds, Table(COLUMNS, rows), measured)
 

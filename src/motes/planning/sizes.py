@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import track
 
 from motes.core import checks
-from motes.core.record import values
+from motes.core.record import replace, values
 from motes.core.types import Inputs
 from motes.costs.calibrate import Calibration
 from motes.costs.complexity import complexity
@@ -21,8 +21,8 @@ from motes.planning.candidates import Candidate
 
 FIRST, FEWEST, MOST = 1_000, 32, 20_000_000
 """Particles of the first measurement, and the range to plan in."""
-NEAR = 0.1
-"""A measurement within this share of the budget is near enough to draw the line through."""
+NEAR = 0.3
+"""A measurement within this share of the budget is near enough to draw the line through; each one compiles."""
 ATTEMPTS = 5
 REPEATS = 3
 
@@ -86,6 +86,15 @@ class Clock(NamedTuple):
             checks.refuse("plan budget", f"at least {cheapest[0]:.3g} s a step, what the cheapest candidate takes ({cheapest[1]})",
                           f"{budget:.3g} s")
         return found
+
+    def refined(self, sized: Sized, budget: float | None) -> Sized:
+        """Measure a filter at its number of particles and change that in proportion: what is chosen should keep the budget well."""
+        measured = self.seconds(Candidate("", sized.filter, ()))
+        n = getattr(sized.filter, "n", None)
+        if n is None or budget is None:
+            return sized._replace(seconds=measured)
+        better = max(1, min(MOST, int(n * budget / measured)))
+        return sized._replace(filter=replace(sized.filter, n=better), seconds=measured * better / n)
 
     def _sized(self, candidate: Candidate, budget: float) -> Sized | float:
         """Return the candidate with n, or the seconds of its cheapest step."""

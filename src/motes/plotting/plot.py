@@ -5,8 +5,10 @@ from typing import Any
 from motes.bounds.bound import Bound
 from motes.core import checks
 from motes.filters.history import History
+from motes.planning.plan import Plan
 from motes.plotting.bound import bound_figure
 from motes.plotting.history import history_figure
+from motes.plotting.plan import plan_figure
 from motes.plotting.study import study_figure
 from motes.studies.result import StudyResult
 
@@ -15,7 +17,7 @@ def plot(result: Any, truth: Any = None, bound: Any = None) -> Any:
     """Draw a result.
 
     Args:
-        result: a `History` that kept means and covariances, a `Bound`, or a `StudyResult`.
+        result: a `History` that kept means and covariances, a `Bound`, a `StudyResult`, or a `Plan`.
         truth: true states `(t, x)`, to draw beside the estimates of a history.
         bound: with `cov` `(t, x, x)`, to draw beside the errors of a study.
 
@@ -34,4 +36,6 @@ def plot(result: Any, truth: Any = None, bound: Any = None) -> Any:
         return bound_figure(result)
     if isinstance(result, StudyResult):
         return study_figure(result, bound)
-    checks.refuse("plot result", "a History, a Bound or a StudyResult", type(result).__name__)
+    if isinstance(result, Plan):
+        return plan_figure(result)
+    checks.refuse("plot result", "a History, a Bound, a StudyResult or a Plan", type(result).__name__)

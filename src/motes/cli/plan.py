@@ -1,0 +1,71 @@
+"""`motes plan CONFIG.toml --budget 5ms`: which filter, which states in its Kalman part, and how many particles, for the user's own flight.
+
+The TOML file is that of `motes run`; of its measurements only the inertial track is used, along which pilot flights are drawn.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from motes.cli.compiled import keep_programs
+from motes.cli.options import check_seed, from_flags, from_toml, refuse
+from motes.cli.run import Config
+
+USAGE = "motes plan CONFIG.toml"
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+
+
+@dataclass(frozen=True)
+class Planning(Config):
+    """Find the most accurate filter for a time per fix; CONFIG.toml comes first, flags change single keys of it.
+
+    Attributes:
+        budget: time per fix with its unit, such as 5ms, 200us or 0.1s.
+        states: states that count, of one unit.
+        fixes: how many of the first fixes to plan on.
+        runs: most pilot flights for one candidate.
+        verify: measure the choice once more.
+    """
+
+    budget: str = ""
+    states: tuple[str, ...] = ("rN", "rE")
+    fixes: int = 100
+    runs: int = 32
+    verify: bool = False
+
+
+def main(words: Sequence[str]) -> None:
+    """Print the table of candidates and the choice.
+
+    Raises:
+        MotesError: the file, what it names, or an option cannot be used; or no candidate fits the budget.
+    """
+    if words and words[0].startswith("-"):
+        from_flags(Planning(), words, USAGE)
+    if not words or words[0].startswith("-"):
+        refuse(USAGE, "a TOML file first", " ".join(words) or "nothing", "motes demo writes an example: out/terrain.toml.")
+    config = from_flags(from_toml(Planning, words[0]), words[1:], USAGE)
+    budget = seconds(config.budget)
+    check_seed(config.seed)
+    keep_programs()
+    import jax
+
+    from motes.applications.terrain_navigation import scenario
+    from motes.planning.plan import Pilot, plan
+
+    flight = scenario.load(config.map, config.data, config.noises, config.prior)
+    inputs = jax.tree.map(lambda leaf: leaf[: config.fixes], flight.inputs)
+    print(plan(flight.model, budget, states=config.states, verify=config.verify,
+               pilot=Pilot(runs=config.runs, seed=config.seed, inputs=inputs)))
+
+
+def seconds(text: str) -> float:
+    """Return seconds from a number with a unit.
+
+    Raises:
+        MotesError: it is none.
+    """
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*(s|ms|us)\s*", text)
+    if not found or not float(found[1]) > 0:
+        refuse("budget", "a time with its unit, such as 5ms, 200us or 0.1s", repr(text))
+    return float(found[1]) * UNITS[found[2]]
