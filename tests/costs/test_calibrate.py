@@ -154,7 +154,7 @@ def walk():
 def clock(monkeypatch):
     """A machine on which a run takes 100 us, a first step 30 us, each further step 4 us and 10 ns for each particle."""
 
-    def seconds(call, repeats):
+    def seconds(call, repeats, span):
         history = jax.eval_shape(call)
         return 130e-6 + (4e-6 + 1e-8 * history.state.log_weights.shape[0]) * (history.ess.shape[0] - 1)
 

@@ -32,7 +32,7 @@ def cost(filter):
 
 @pytest.fixture
 def clock(monkeypatch):
-    monkeypatch.setattr(Clock, "seconds", lambda self, candidate: cost(candidate.filter))
+    monkeypatch.setattr(Clock, "seconds", lambda self, candidate, span=0: cost(candidate.filter))
 
 
 def plan(model, *args, runs=16, **options):
@@ -61,12 +61,12 @@ def test_budget(clock):
         assert cost(filter) == pytest.approx(1e-4, rel=0.3)
     errors = found.table.column("RMSE")
     assert names[-1] == "extended Kalman filter" and errors[-1] > 1.2 * errors[0] and errors[0] == min(errors) >= 1
-    assert cost(found.choice) == pytest.approx(1e-4, rel=0.08) and found.seconds == pytest.approx(1e-4, rel=1e-3)
+    assert cost(found.choice) == pytest.approx(1e-4, rel=0.08) and found.seconds == pytest.approx(1e-4, rel=0.01)
     flops = dict(zip(names, found.table.column("by flops"), strict=True))
     assert flops["extended Kalman filter"] is None
     counted = mo.complexity(2, 0, n["particle filter"], CONSTANTS.costs) * 1e-10
     assert flops["particle filter"] == pytest.approx(1e3 * counted)
-    assert "choice" in str(found) and "ms a step" in str(found)
+    assert found.choice.n % 16 == 0 and "choice" in str(found) and "ms a step" in str(found)
 
 
 def test_states_that_count(clock):

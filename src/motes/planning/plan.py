@@ -22,7 +22,7 @@ from motes.filters.interface import Filter
 from motes.models.simulate import simulate
 from motes.planning.candidates import candidates, given_candidates
 from motes.planning.needed import needed
-from motes.planning.sizes import Clock, Sized
+from motes.planning.sizes import LONG, Clock, Sized
 from motes.planning.trials import FIRST_RUNS, Trial, trials
 from motes.studies.experiment import Experiment
 from motes.studies.tables import Table
@@ -130,7 +130,7 @@ def plan(
     least = _least(last, unit)
     rows = tuple(_row(name, fitting[name], found[name], least) for name in order)
     best = clock.refined(fitting[order[0]], budget)
-    measured = seconds_per_step(best.filter, model, clock.ys, pilot.inputs) if verify else None
+    measured = seconds_per_step(best.filter, model, clock.ys, pilot.inputs, span=LONG) if verify else None
     return Plan(best.filter, best.seconds, Table(COLUMNS, rows), measured)
 
 

@@ -11,20 +11,23 @@ from motes.core.record import replace, values
 from motes.core.types import Inputs
 from motes.costs.calibrate import Calibration
 from motes.costs.complexity import complexity
-from motes.costs.measure import StepTime, least_seconds
+from motes.costs.measure import SPAN, StepTime, least_seconds, whole_run
 from motes.filters.interface import Filter
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.filters.particle import ParticleFilter
-from motes.filters.run import run
 from motes.models.split import split
 from motes.planning.candidates import Candidate
 
 FIRST, FEWEST, MOST = 1_000, 32, 20_000_000
 """Particles of the first measurement, and the range to plan in."""
+LANES = 16
+"""Numbers of particles are multiples of this where they can be: with odd ones compiled steps take up to half as long again."""
 NEAR = 0.3
 """A measurement within this share of the budget is near enough to draw the line through; each one compiles."""
 ATTEMPTS = 5
 REPEATS = 3
+LONG = 2.0
+"""Seconds over which what was chosen is measured: longer than a neighbor on the machine usually disturbs."""
 
 
 class Sized(NamedTuple):
@@ -58,9 +61,9 @@ class Clock(NamedTuple):
     costs: Calibration
     progress: bool | None
 
-    def seconds(self, candidate: Candidate) -> float:
+    def seconds(self, candidate: Candidate, span: float = SPAN) -> float:
         """Measure a step of a candidate as it is, with its share of what happens once a run: to take that out, each would compile twice."""
-        return least_seconds(lambda: run(0, candidate.filter, self.model, self.ys, self.inputs), REPEATS) / self.ys.shape[0]
+        return least_seconds(whole_run(candidate.filter, self.model, self.ys, self.inputs), REPEATS, span) / self.ys.shape[0]
 
     def timed(self, reached: dict[str, Candidate]) -> dict[str, Sized]:
         """Measure candidates whose number of particles is known."""
@@ -89,11 +92,11 @@ class Clock(NamedTuple):
 
     def refined(self, sized: Sized, budget: float | None) -> Sized:
         """Measure a filter at its number of particles and change that in proportion: what is chosen should keep the budget well."""
-        measured = self.seconds(Candidate("", sized.filter, ()))
+        measured = self.seconds(Candidate("", sized.filter, ()), LONG)
         n = getattr(sized.filter, "n", None)
         if n is None or budget is None:
             return sized._replace(seconds=measured)
-        better = max(1, min(MOST, int(n * budget / measured)))
+        better = _in_lanes(n * budget / measured)
         return sized._replace(filter=replace(sized.filter, n=better), seconds=measured * better / n)
 
     def _sized(self, candidate: Candidate, budget: float) -> Sized | float:
@@ -107,17 +110,17 @@ class Clock(NamedTuple):
         for _ in range(ATTEMPTS):
             timed[n] = self.seconds(candidate.with_particles(n))
             if len(timed) == 1:
-                n = FEWEST if timed[n] > budget else min(MOST, max(2 * n, int(n * budget / timed[n])))
+                n = FEWEST if timed[n] > budget else _in_lanes(max(2 * n, n * budget / timed[n]))
                 continue
             line = _line(timed, budget)
             if line.seconds(1) > budget:
                 return line.seconds(1)
-            wanted = min(MOST, line.particles(budget))
+            wanted = _in_lanes(line.particles(budget))
             if wanted in timed or abs(timed[n] / budget - 1) < NEAR:
                 break
             n = wanted
         line = _line(timed, budget)
-        n = min(MOST, line.particles(budget))
+        n = _in_lanes(line.particles(budget))
         chosen = candidate.with_particles(n)
         return Sized(chosen.filter, line.seconds(n), self.by_flops(chosen))
 
@@ -130,6 +133,11 @@ class Clock(NamedTuple):
         mixed = k > 0 and split(self.model, candidate.linear, one).per_particle
         counted_flops = complexity(self.model.size - k, k, filter.n, self.costs.costs, "mixed" if mixed else "nonlinear")
         return counted_flops * self.costs.flop.value
+
+
+def _in_lanes(n: float) -> int:
+    whole = max(1, min(MOST, int(n)))
+    return whole if whole < LANES else whole - whole % LANES
 
 
 def _line(timed: dict[int, float], budget: float) -> StepTime:
