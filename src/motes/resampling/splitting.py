@@ -105,8 +105,9 @@ class CommonKernel(Kernels):
         factor = linalg.cholesky(whole)
         shares = linalg.solve_lower(factor, linalg.transpose(linalg.solve_lower(factor, law.parts.covariance)))
         least = jnp.min(jnp.linalg.eigvalsh(jnp.moveaxis(linalg.symmetric(shares), -1, 0)))
-        common = jnp.clip(least, 0, self.cap**2) * whole
-        small = least >= self.guard**2
+        cap, guard = (jnp.square(jnp.asarray(knob, whole.dtype)) for knob in (self.cap, self.guard))
+        common = jnp.clip(least, 0, cap) * whole
+        small = least >= guard
 
         def split(key: jax.Array, law: Mixture) -> Mixture:
             before = law.parts
