@@ -89,20 +89,30 @@ def _run(key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inpu
 
 
 def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
-    def advance(carry: Carry, now: tuple[jax.Array, Inputs]) -> tuple[Carry, tuple[Any, Info]]:
+    def advance(held: tuple[Carry, Any], after: Any) -> tuple[tuple[Carry, Any], tuple[Any, Info]]:
+        carry, now = held
         carry, info = engine.step(carry, *now)
-        return carry, (keep(carry.state), info)
+        return (carry, after), (keep(carry.state), info)
 
     if first is None:
         carry, info = engine.begin(ys[0], step_inputs(inputs, 0))
         opening = (keep(carry.state), info)
         start = jnp.int32(0)
-        carry, rest = jax.lax.scan(advance, carry, (ys[1:], jax.tree.map(lambda leaf: leaf[1:], inputs)))
+        carry, rest = _over(advance, carry, jax.tree.map(lambda leaf: leaf[1:], (ys, inputs)))
         kept, infos = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), opening, rest)
     else:
         start = first.step + 1
-        carry, (kept, infos) = jax.lax.scan(advance, first, (ys, inputs))
+        carry, (kept, infos) = _over(advance, first, (ys, inputs))
     return History(kept, infos, carry, start, engine.given.names, "", engine.filter.has_evidence)
+
+
+def _over(advance: Callable[[Any, Any], Any], carry: Carry, rows: Any) -> tuple[Carry, Any]:
+    """Scan over rows, each fetched a step ahead: compilers would look a row up again for every particle and state that uses it."""
+    count = jax.tree.leaves(rows)[0].shape[0]
+    after = jax.tree.map(lambda leaf: jnp.concatenate([leaf[1:], leaf[-1:]]), rows)
+    now = jax.tree.map(lambda leaf: leaf[0] if count else jnp.zeros(leaf.shape[1:], leaf.dtype), rows)
+    (carry, _), out = jax.lax.scan(advance, (carry, now), after)
+    return carry, out
 
 
 def canonical_parts(filter: Filter, model: Any, u: Inputs, y: Any) -> tuple[Filter, Any]:

@@ -132,25 +132,25 @@ class Gaussian(Law):
         """
         components = innovation.shape[0] if seen is None else jnp.sum(seen, axis=0)
         if seen is not None:
-            innovation, H, R = _zeroed(innovation, seen), _zeroed(H, seen), _among(R, seen)
+            innovation, R = _zeroed(innovation, seen), _among(R, seen)
         factor, noise = linalg.unit_factor(R)
         innovation, H = (linalg.solve_lower(*_same_batch(factor, rows, axes)) for rows, axes in ((innovation, 1), (H, 2)))
         if H.ndim < self.center.ndim + 1:
             H = H[..., None]
-        # the barriers: or else all of it is worked out again for every entry of P
-        innovation, H, noise = jax.lax.optimization_barrier((innovation, H, noise))
         center, P = self.center, self.covariance
         peak, distance = -0.5 * _LOG_2PI * jnp.asarray(components, P.dtype), jnp.zeros((), P.dtype)
         for i in range(H.shape[0]):
             cross = linalg.times_vector(P, H[i])
-            before = jnp.maximum(jnp.sum(H[i] * cross, axis=0), 0)
+            before = jnp.maximum(linalg.dot(H[i], cross), 0)
             total = before + noise[i]
-            cross, before, total = jax.lax.optimization_barrier((cross, before, total))
-            surprise = innovation[i] - jnp.sum(H[i] * (center - self.center), axis=0)
-            inverse = _inverse(total)
+            surprise = innovation[i] - linalg.dot(H[i], center - self.center)
+            # components that were not seen are left out here: masked rows of H would be masked again for every entry of P
+            used = True if seen is None else seen[i]
+            inverse = jnp.where(used, _inverse(total), 0)
+            lower = jnp.where(used, _inverse(jnp.maximum(total, (1 + _ROUNDING * jnp.finfo(P.dtype).eps) * before)), 0)
             center = center + cross * (inverse * jnp.where(jnp.isfinite(surprise), surprise, 0))
-            P = linalg.rank_update(P, cross, -_inverse(jnp.maximum(total, (1 + _ROUNDING * jnp.finfo(P.dtype).eps) * before)))
-            peak = peak - 0.5 * jnp.log(jnp.where(total > 0, total, 1))
+            P = linalg.rank_update(P, cross, -lower)
+            peak = peak - 0.5 * jnp.log(jnp.where(used & (total > 0), total, 1))
             distance = distance + inverse * surprise**2
         return Correction(Gaussian(center, P), peak - 0.5 * distance, peak)
 
