@@ -71,13 +71,17 @@ class Raster:
     @property
     def latitude(self) -> float | None:
         """Latitude of the middle, degrees; None on a projected raster whose reference system has no EPSG number."""
-        north, east = (self.north + self.south) / 2, (self.west + self.east) / 2
         if self.crs == "geographic":
-            return north
+            return self._middle[0]
         if self.epsg is None:
             return None
+        north, east = self._middle
         warp = need("rasterio.warp", "terrain")
         return float(warp.transform(f"EPSG:{self.epsg}", "EPSG:4326", [east], [north])[1][0])
+
+    @property
+    def _middle(self) -> tuple[float, float]:
+        return (self.north + self.south) / 2, (self.west + self.east) / 2
 
     def spacing_m(self, latitude: float | None = None) -> tuple[float, float]:
         """Return the distance between rows and between columns in meters.
@@ -87,7 +91,7 @@ class Raster:
         """
         if self.crs == "projected":
             return self.dy, self.dx
-        per_north, per_east = meters_per_degree(self.latitude if latitude is None else latitude)
+        per_north, per_east = meters_per_degree(self._middle[0] if latitude is None else latitude)
         return self.dy * per_north, self.dx * per_east
 
 

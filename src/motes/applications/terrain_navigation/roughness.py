@@ -1,0 +1,95 @@
+"""Whether terrain can support navigation, told before a flight: how much its heights vary, and the error that may be expected."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, unaided
+from motes.bounds.kalman_at_truth import kalman_at_truth
+from motes.core.record import replace
+from motes.models.state_space import StateSpaceModel
+from motes.models.terrain import TerrainMap
+
+MOST = 400
+"""Fixes whose surroundings are looked at."""
+ROUGH, FLAT = 0.1, 0.5
+"""Share of the unaided error that the altimeter leaves over rough and over flat terrain."""
+
+
+class Roughness(NamedTuple):
+    """What the terrain around a track tells.
+
+    Attributes:
+        window: half the side of the squares around fixes that were looked at, m: the prior's standard deviation.
+        heights: standard deviation of the heights in such a square, median over the fixes, m.
+        slopes: the same of the slopes, root mean square of those to the north and to the east.
+        flat: share of fixes around which heights vary by less than the altimeter's noise, voids included.
+        bound: horizontal error to be expected at each fix, `(t,)`, m.
+        unaided: the same without altimeter.
+    """
+
+    window: float
+    heights: float
+    slopes: float
+    flat: float
+    bound: np.ndarray
+    unaided: np.ndarray
+
+    @property
+    def verdict(self) -> str:
+        """Return "rough enough", "poor" or "flat", by the share of the unaided error that the altimeter leaves after the flight."""
+        left = self.bound[-1] / self.unaided[-1]
+        return "rough enough" if left < ROUGH else "poor" if left < FLAT else "flat"
+
+    def __str__(self) -> str:
+        """Return the verdict and its reasons in one line."""
+        ground = (f"heights vary by {self.heights:.0f} m and slopes by {self.slopes:.2f} within {self.window:.0f} m of the track, "
+                  f"{100 * self.flat:.0f} % of the fixes lie over flat ground")
+        error = (f"expected horizontal error after the flight about {self.bound[-1]:.0f} m "
+                 f"({self.unaided[-1]:.0f} m without altimeter)")
+        reason = {
+            "rough enough": "",
+            "poor": "the altimeter helps, but not everywhere or not in all directions; ",
+            "flat": "the altimeter tells next to nothing about where the aircraft is; ",
+        }[self.verdict]
+        return f"Terrain: {self.verdict}: {ground}; {reason}{error}."
+
+
+def roughness(model: StateSpaceModel, track: Track) -> Roughness:
+    """Tell beforehand whether terrain can support navigation.
+
+    The expected error is that of the Kalman filter which knows the slopes along the track, those of cubic heights since they do not jump:
+    the posterior Cramer-Rao bound of a known path. It is local: where alike places far apart are confused, filters do worse.
+
+    Args:
+        model: of the errors, by `error_model`; its altimeter holds the map.
+        track: the inertial track, or one that is planned, `(t,)`.
+    """
+    altimeter: Any = model.sensor
+    terrain: TerrainMap = altimeter.f.terrain
+    noise = np.sqrt(altimeter.Q.variance if isinstance(altimeter.Q, NoiseOverVoids) else float(altimeter.Q[0, 0]))
+    window = float(jnp.sqrt(model.initial.cov()[model.names.index("rN"), model.names.index("rN")]))
+    looked_at = np.unique(np.linspace(0, track.north.shape[0] - 1, MOST).astype(int))
+    around = np.array([_spreads(terrain, float(track.north[k]), float(track.east[k]), window) for k in looked_at])
+    smooth = replace(altimeter.f, terrain=replace(terrain, interpolation="cubic"))
+    known = jnp.zeros((track.north.shape[0], model.size), model.dtype)
+    bound = kalman_at_truth(replace(model, sensor=replace(altimeter, f=smooth)), known, track)
+    heights, slopes = np.median(around, axis=0)
+    return Roughness(window, float(heights), float(slopes), float(np.mean(around[:, 0] < noise)),
+                     np.asarray(bound.rmse(("rN", "rE")), np.float64), np.linalg.norm(unaided(model, track), axis=1))
+
+
+def _spreads(terrain: TerrainMap, north: float, east: float, window: float) -> tuple[float, float]:
+    """Return standard deviations of heights (m) and slopes in the square around a place; zeros where there are none."""
+    heights = np.asarray(terrain.heights)
+    sides = [slice(max(int((at - window) / step), 0), max(int((at + window) / step) + 2, 0))
+             for at, step in ((north, terrain.dn), (east, terrain.de))]
+    square = heights[tuple(sides)].astype(np.float64)
+    slopes = [np.diff(square, axis=axis) / step for axis, step in enumerate((terrain.dn, terrain.de))]
+    return _spread(square) ** 0.5, (sum(map(_spread, slopes)) / 2) ** 0.5
+
+
+def _spread(values: np.ndarray) -> float:
+    known = values[~np.isnan(values)]
+    return float(known.var()) if known.size else 0.0
