@@ -1,8 +1,8 @@
 """`motes run CONFIG.toml`: run a filter on the user's own map and measurements.
 
 The TOML file has the tables [map], [data], [inertial], [noises], [prior] and [filter] and the keys `seed` and `out`; all but `files` of
-[map] and `file` of [data] have defaults. `motes demo` writes one, with comments, beside a flight that it fits. Paths in the file are relative
-to its folder, those in flags to where the command is called. Writes the same files as `motes demo`.
+[map] and `file` of [data] have defaults. `motes demo` writes one, with comments, beside a flight that it fits. Paths in the file are
+relative to its folder, those in flags to where the command is called. Writes the same files as `motes demo`.
 """
 
 from collections.abc import Sequence

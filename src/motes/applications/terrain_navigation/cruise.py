@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.terrain_navigation.settings import Prior
@@ -68,7 +69,8 @@ def dynamics(cruise: Cruise, grade: inertial.Grade, position: float, step: float
     force = np.cross(turning, velocity) - [0.0, 0.0, inertial.gravity(cruise.latitude, cruise.height)]
     attitude = attitude_of(np.array(0.0), np.array(0.0), np.arctan2(cruise.east, cruise.north))
     growth = inertial.error_growth(cruise.latitude, cruise.height, velocity, force, attitude)
-    return LinearGaussian(*inertial.discretized(growth, inertial.error_noise(grade, position), step))
+    transition, noise = inertial.discretized(growth, inertial.error_noise(grade, position), step)
+    return LinearGaussian(jnp.asarray(transition), jnp.asarray(noise))
 
 
 def deviations(prior: Prior) -> np.ndarray:
