@@ -1,13 +1,24 @@
-"""Whether terrain can support navigation, told before a flight: how much its heights vary, and the error that may be expected."""
+"""Whether terrain can support navigation, told before a flight: how much its heights vary, and the error that may be expected.
+
+Two errors are worked out along the inertial track, both as covariances of a Kalman filter. The bound knows the slopes at the track: no
+filter does better, but over nearly flat ground it takes the meter steps of the map for landmarks, which nobody lost by a kilometer could
+tell apart. The expected error therefore looks at the map as widely as the position is uncertain at the time: slopes are those of the
+regression of height on position over five points (the mean and, along each axis of a factor of the covariance, root three standard
+deviations to both sides), and what the regression leaves unexplained counts as noise of the altimeter.
+"""
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, unaided
+from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
 from motes.bounds.kalman_at_truth import kalman_at_truth
+from motes.core import linalg
 from motes.core.record import replace
+from motes.laws.gaussian import Gaussian
+from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 from motes.models.terrain import TerrainMap
 
@@ -25,29 +36,31 @@ class Roughness(NamedTuple):
         heights: standard deviation of the heights in such a square, median over the fixes, m.
         slopes: the same of the slopes, root mean square of those to the north and to the east.
         flat: share of fixes around which heights vary by less than the altimeter's noise, voids included.
-        bound: horizontal error to be expected at each fix, `(t,)`, m.
-        unaided: the same without altimeter.
+        expected: horizontal error to be expected at each fix, `(t,)`, m.
+        bound: the least that can be reached, once the position is nearly known.
+        unaided: what there is without altimeter.
     """
 
     window: float
     heights: float
     slopes: float
     flat: float
+    expected: np.ndarray
     bound: np.ndarray
     unaided: np.ndarray
 
     @property
     def verdict(self) -> str:
         """Return "rough enough", "poor" or "flat", by the share of the unaided error that the altimeter leaves after the flight."""
-        left = self.bound[-1] / self.unaided[-1]
+        left = self.expected[-1] / self.unaided[-1]
         return "rough enough" if left < ROUGH else "poor" if left < FLAT else "flat"
 
     def __str__(self) -> str:
         """Return the verdict and its reasons in one line."""
         ground = (f"heights vary by {self.heights:.0f} m and slopes by {self.slopes:.2f} within {self.window:.0f} m of the track, "
                   f"{100 * self.flat:.0f} % of the fixes lie over flat ground")
-        error = (f"expected horizontal error after the flight about {self.bound[-1]:.0f} m "
-                 f"({self.unaided[-1]:.0f} m without altimeter)")
+        error = (f"expected horizontal error after the flight about {self.expected[-1]:.0f} m (at best {self.bound[-1]:.0f} m, "
+                 f"without altimeter {self.unaided[-1]:.0f} m)")
         reason = {
             "rough enough": "",
             "poor": "the altimeter helps, but not everywhere or not in all directions; ",
@@ -58,9 +71,6 @@ class Roughness(NamedTuple):
 
 def roughness(model: StateSpaceModel, track: Track) -> Roughness:
     """Tell beforehand whether terrain can support navigation.
-
-    The expected error is that of the Kalman filter which knows the slopes along the track, those of cubic heights since they do not jump:
-    the posterior Cramer-Rao bound of a known path. It is local: where alike places far apart are confused, filters do worse.
 
     Args:
         model: of the errors, by `error_model`; its altimeter holds the map.
@@ -76,8 +86,37 @@ def roughness(model: StateSpaceModel, track: Track) -> Roughness:
     known = jnp.zeros((track.north.shape[0], model.size), model.dtype)
     bound = kalman_at_truth(replace(model, sensor=replace(altimeter, f=smooth)), known, track)
     heights, slopes = np.median(around, axis=0)
-    return Roughness(window, float(heights), float(slopes), float(np.mean(around[:, 0] < noise)),
-                     np.asarray(bound.rmse(("rN", "rE")), np.float64), np.linalg.norm(unaided(model, track), axis=1))
+    return Roughness(
+        window, float(heights), float(slopes), flat=float(np.mean(around[:, 0] < noise)),
+        expected=np.asarray(_expected(model, track), np.float64),
+        bound=np.asarray(bound.rmse(("rN", "rE")), np.float64),
+        unaided=np.linalg.norm(unaided(model, track), axis=1),
+    )
+
+
+@jax.jit
+def _expected(model: Any, track: Track) -> jax.Array:
+    """Return the expected horizontal error at each fix, `(t,)`, m."""
+    *across, down = places_of(model.names)
+    across, zero = np.array(across), jnp.zeros(model.size, model.dtype)
+
+    def measured(cov: jax.Array, u: Track, t: Any) -> jax.Array:
+        factor = linalg.cholesky(cov[across[:, None], across])
+        offsets = np.sqrt(3) * jnp.concatenate([jnp.zeros((1, 2)), factor.T, -factor.T])
+        readings = jax.vmap(lambda offset: model.sensor.mean(zero.at[across].set(offset), u, t)[0])(offsets)
+        slopes = (readings[1:3] - readings[3:]) / (2 * np.sqrt(3))  # along the columns of the factor
+        shares = np.array([2, 1, 1, 1, 1]) / 6
+        unexplained = jnp.sum(shares * (readings - jnp.sum(shares * readings)) ** 2) - jnp.sum(slopes**2)
+        H = zero.at[across].set(linalg.solve_upper(factor, slopes)).at[down].set(-1.0)
+        R = model.sensor.cov(zero, u, t) + jnp.maximum(unexplained, 0)
+        return Gaussian(zero, cov).corrected(jnp.zeros(1, zero.dtype), H[None], R).law.covariance
+
+    def advance(cov: jax.Array, now: tuple[Track, Any]) -> tuple[jax.Array, jax.Array]:
+        cov = jnp.where(now[1] > 0, linearize.moved(model.dynamics, Gaussian(zero, cov), *now).covariance, cov)
+        cov = measured(cov, *now)
+        return cov, jnp.sqrt(jnp.sum(jnp.diagonal(cov)[across]))
+
+    return jax.lax.scan(advance, model.initial.cov(), (track, jnp.arange(track.north.shape[0], dtype=jnp.int32)))[1]
 
 
 def _spreads(terrain: TerrainMap, north: float, east: float, window: float) -> tuple[float, float]:
