@@ -20,7 +20,7 @@ class TerrainMap:
     Positions are meters north and east of that post. Between posts heights are bilinear, from the four posts of the cell;
     slopes jump at the lines between cells, where those of the cell to the north and east count. Cubic heights (Catmull and Rom
     1974: splines through 16 posts, straight on beyond the outermost) have slopes that do not jump, for bounds, which
-    differentiate the map; they take about four times as long. Look-ups beyond the edge take the height of the nearest edge and
+    differentiate the map; they take about three times as long. Look-ups beyond the edge take the height of the nearest edge and
     no slope across it, or are NaN where the world beyond is a void; `inside` tells. A look-up that needs a void is NaN.
 
     Attributes:

@@ -36,13 +36,14 @@ def check_covered(
     if on.all() or (terrain.beyond == "void" and on.any()):
         return
     height, width = terrain.size
+    unit = "meters" if terrain.scale == (1.0, 1.0) else "degrees"
     meant = (advice for advice, *other in misreadings if _inside(terrain, *other).mean() > max(0.5, on.mean()))
     checks.refuse(
         "map",
         f"one that covers {what} (north {north.min():.0f} to {north.max():.0f} m, east {east.min():.0f} to {east.max():.0f} m "
         "of the map's south-west post)",
         f"north 0 to {height:.0f} m, east 0 to {width:.0f} m; row {int(np.argmin(on)) + 1} lies outside",
-        next(meant, "Check the order and unit of the columns, or join more map files."),
+        next(meant, f"Check order and unit of the columns (the map's own coordinates are {unit}), or join more map files."),
     )
 
 

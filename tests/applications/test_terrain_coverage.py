@@ -1,0 +1,132 @@
+"""Flights that leave their map, and whether terrain is rough enough to navigate by."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import motes as mo
+from data import recorded
+from motes.applications.terrain_navigation import scenario
+from motes.applications.terrain_navigation.model import Track, error_model
+from motes.applications.terrain_navigation.roughness import roughness
+from motes.applications.terrain_navigation.settings import FIRST, MapFiles, Noises, Prior, Recording
+from motes.io.rasters import jacksboro, mosaic, read_raster
+from motes.models.terrain import TerrainMap, terrain_map
+
+LEAVING = replace(FIRST, north=20_000.0, east=20_000.0, fixes=80, step=1.0)
+
+
+@pytest.fixture(scope="module")
+def terrain():
+    return terrain_map(jacksboro())
+
+
+@pytest.fixture(scope="module")
+def leaving(terrain):
+    return scenario.simulated(2, terrain, LEAVING, outside="missing")
+
+
+def inside(terrain, track):
+    height, width = terrain.size
+    return np.asarray((track.north >= 0) & (track.north <= height) & (track.east >= 0) & (track.east <= width))
+
+
+def test_fixes_off_the_map_are_missing(terrain, leaving):
+    on = inside(terrain, leaving.inputs)
+    assert 30 < on.sum() < 60
+    np.testing.assert_array_equal(np.isnan(leaving.ys[:, 0]), ~on)
+    with pytest.raises(mo.MotesError, match="outside"):
+        scenario.simulated(2, terrain, LEAVING)
+    # the same errors; the same fixes, but near the edge, where particles may be off the map
+    held = scenario.simulated(2, terrain, replace(LEAVING, fixes=30))
+    np.testing.assert_array_equal(held.errors, leaving.errors[:30])
+    np.testing.assert_allclose(held.ys[:10], leaving.ys[:10], rtol=1e-5)
+
+
+def test_particles_off_the_map_are_over_a_void(terrain, leaving):
+    law, heights = leaving.model.sensor, np.asarray(terrain.heights)
+    u = Track(*(jnp.float32(value) for value in (terrain.size[0] - 100.0, 15_000.0, 2000.0)))
+    on, off = jnp.zeros(9), jnp.zeros(9).at[0].set(101.0)
+    assert float(law.cov(on, u, 0)[0, 0]) == 225
+    assert float(law.cov(off, u, 0)[0, 0]) == pytest.approx(225 + heights.var(), rel=1e-4)
+    assert float(law.mean(off, u, 0)[0]) == pytest.approx(2000 - heights.mean(), rel=1e-4)
+    history = mo.run(0, mo.MarginalizedParticleFilter(n=300), leaving.model, leaving.ys, leaving.inputs)
+    assert np.isfinite(np.asarray(history.mean)).all() and not np.asarray(history.info.invalid).any()
+    # beyond the map nothing is measured: the uncertainty grows to the end
+    spread = np.sqrt(np.asarray(history.cov)[:, 0, 0])
+    assert spread[-1] > spread[np.argmin(inside(terrain, leaving.inputs))]
+
+
+def test_an_edge_out_of_reach_costs_nothing(terrain):
+    middle = replace(FIRST, north=12_000.0, east=14_000.0, fixes=10)
+    flown = scenario.simulated(0, terrain, middle, outside="missing")
+    assert not callable(flown.model.sensor.Q) and flown.terrain.beyond == "void"
+
+
+def test_recorded_flight_that_leaves_the_map(tmp_path, terrain, leaving):
+    inputs = leaving.inputs
+    columns = np.stack([leaving.seconds, inputs.north, inputs.east, inputs.altitude, np.full(80, 500.0)], axis=1)
+    np.savetxt(tmp_path / "flight.csv", columns, delimiter=",", header="time,ins_north,ins_east,ins_altitude,height", comments="")
+    files = MapFiles(files=(str(scenario.jacksboro_file()),), outside="missing")
+    loaded = scenario.load(files, Recording(file=str(tmp_path / "flight.csv")))
+    np.testing.assert_array_equal(np.isnan(loaded.ys), np.isnan(leaving.ys))
+    assert callable(loaded.model.sensor.Q)
+    with pytest.raises(mo.MotesError, match="covers the inertial track in flight.csv"):
+        scenario.load(replace(files, outside="refuse"), Recording(file=str(tmp_path / "flight.csv")))
+
+
+# roughness -----------------------------------------------------------------------------------------------------------
+
+STEP, FIXES = 0.6, 200
+
+
+def track(north, east, heading, altitude=3000.0):
+    along = np.arange(FIXES) * STEP * 250
+    return Track(jnp.asarray(north + along * np.cos(np.radians(heading)), jnp.float32),
+                 jnp.asarray(east + along * np.sin(np.radians(heading)), jnp.float32), jnp.full(FIXES, altitude))
+
+
+def test_a_plane_leaves_nothing_unexplained():
+    """On a plane the regression is the slope, whatever the covariance, so that the expected error is the bound."""
+    north, east = np.mgrid[:70, :70] * 1000.0
+    plane = TerrainMap(0.03 * north - 0.01 * east, 1000.0, 1000.0)
+    found = roughness(error_model(plane, Noises(position=0.5), Prior(vertical_position=1.0), STEP), track(10_000, 10_000, 60))
+    np.testing.assert_allclose(found.expected, found.bound, rtol=2e-3)
+    assert found.slopes < 1e-4 and found.heights > 10 and found.flat == 0
+    assert found.unaided[0] == pytest.approx(1000 * np.sqrt(2))
+    # one direction is found, the other is not: the altimeter alone cannot tell where along the contour lines
+    assert found.verdict == "flat" and 0.5 < found.expected[-1] / found.unaided[-1] < 0.9
+
+
+def test_the_demonstration_is_rough_enough(terrain):
+    flight = scenario.simulated(3, terrain, replace(FIRST, fixes=120))
+    found = roughness(flight.model, flight.inputs)
+    assert found.verdict == "rough enough" and found.flat == 0 and 60 < found.heights < 120
+    assert found.bound[-1] <= found.expected[-1] < 60 and (found.expected <= found.unaided * 1.001).all()
+    line = str(found)
+    assert line.isprintable() and line.startswith("Terrain: rough enough: heights vary by ") and f"about {found.expected[-1]:.0f} m" in line
+    history = mo.run(3, mo.MarginalizedParticleFilter(n=4000), flight.model, flight.ys, flight.inputs)
+    assert scenario.score(history, flight).median < 3 * found.expected[60:].mean()
+
+
+def test_recorded_relief():
+    """Santa Cruz mountains, Pacific, San Joaquin valley: what the data sheet says of them, in the words of a verdict."""
+    tiles = [read_raster(recorded(f"terrain/dted/{side}/n36.dt1")) for side in ("w122", "w121")]
+    model = error_model(terrain_map(mosaic(tiles)), Noises(position=0.5), step=STEP)
+    rough, sea, valley = (roughness(model, track(*place)) for place in ((30e3, 75e3, 90), (60e3, 1e3, 5), (60e3, 160e3, 0)))
+    assert rough.verdict == "rough enough" and rough.expected[-1] < 60 and rough.flat < 0.2
+    for ground in (sea, valley):
+        assert ground.verdict == "flat" and ground.flat > 0.6 and ground.heights < 5, str(ground)
+        assert "next to nothing" in str(ground) and ground.expected[-1] > 0.5 * ground.unaided[-1]
+    # in the valley the local bound is taken in by the meter steps of the map
+    assert valley.bound[-1] < 250 and valley.slopes < 0.05
+
+
+def test_voids_and_what_lies_beyond_tell_nothing(terrain):
+    holed = np.array(terrain.heights)
+    holed[100:, :] = np.nan
+    model = error_model(TerrainMap(jnp.asarray(holed), terrain.dn, terrain.de, beyond="void"), step=STEP)
+    found = roughness(model, track(12_000, 15_000, 0))
+    assert found.verdict == "flat" and found.flat == 1 and found.heights == 0
