@@ -106,8 +106,24 @@ def test_a_plane_leaves_nothing_unexplained():
     assert found.verdict == "flat" and 0.5 < found.expected[-1] / found.unaided[-1] < 0.9
 
 
+def after_one_fix(terrain, north, east):
+    """Horizontal error after the first fix by regression over the five points, prior 1000 m, 1000 m and 100 m, the long way round."""
+    reach = np.sqrt(3) * 1000
+    ground = np.asarray(terrain.height(north + np.array([0, reach, -reach, 0, 0]), east + np.array([0, 0, 0, reach, -reach])), float)
+    slopes = np.array([ground[1] - ground[2], ground[3] - ground[4]]) / (2 * reach)
+    variance = np.average((ground - np.average(ground, weights=[2, 1, 1, 1, 1])) ** 2, weights=[2, 1, 1, 1, 1])
+    left = variance - 1e6 * (slopes**2).sum()
+    P, H = np.diag([1e6, 1e6, 1e4]), np.array([*-slopes, -1.0])
+    return np.sqrt(np.trace((P - np.outer(P @ H, P @ H) / (H @ P @ H + 225 + left))[:2, :2]))
+
+
 def test_the_demonstration_is_rough_enough(terrain):
-    found = roughness(error_model(terrain, step=STEP), track(4000, 3000, 45, 1576.0))
+    model, flown = error_model(terrain, step=STEP), track(4000, 3000, 45, 1576.0)
+    found = roughness(model, flown)
+    smooth = error_model(terrain_map(jacksboro(), interpolation="cubic"), step=STEP)
+    local = mo.kalman_at_truth(smooth, jnp.zeros((FIXES, 9)), flown).rmse(("rN", "rE"))
+    np.testing.assert_allclose(found.bound, local, rtol=1e-5)
+    assert found.expected[0] == pytest.approx(after_one_fix(terrain, 4000.0, 3000.0), rel=1e-4)
     assert found.verdict == "rough enough" and found.flat == 0 and 60 < found.heights < 120 and 0.15 < found.slopes < 0.3
     assert found.bound[-1] <= found.expected[-1] < 60 and (found.expected <= found.unaided * 1.001).all()
     line = str(found)
