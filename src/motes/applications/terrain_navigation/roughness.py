@@ -51,9 +51,12 @@ class Roughness(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Return "rough enough", "poor" or "flat", by the share of the unaided error that the altimeter leaves after the flight."""
+        """Return "rough enough", "poor" or "flat", by the share of the unaided error that the altimeter leaves after the flight.
+
+        Where it leaves most of it although the ground is not flat (an even slope, or too short a flight), the word is "poor".
+        """
         left = self.expected[-1] / self.unaided[-1]
-        return "rough enough" if left < ROUGH else "poor" if left < FLAT else "flat"
+        return "rough enough" if left < ROUGH else "flat" if left >= FLAT and self.flat >= 0.5 else "poor"
 
     def __str__(self) -> str:
         """Return the verdict and its reasons in one line."""
@@ -63,7 +66,7 @@ class Roughness(NamedTuple):
                  f"without altimeter {self.unaided[-1]:.0f} m)")
         reason = {
             "rough enough": "",
-            "poor": "the altimeter helps, but not everywhere or not in all directions; ",
+            "poor": "the altimeter helps little, or not in all directions; ",
             "flat": "the altimeter tells next to nothing about where the aircraft is; ",
         }[self.verdict]
         return f"Terrain: {self.verdict}: {ground}; {reason}{error}."
