@@ -203,7 +203,21 @@ def test_bad_recordings_are_refused(tmp_path, flight):
     good = write(tmp_path, flight)
     holes = np.asarray(flight.inputs.north)[:40].astype(object)
     holes[7] = ""
+    latitude, longitude = terrain_map(jacksboro()).to_geographic(flight.inputs.north[:40], flight.inputs.east[:40])
+    swapped = {"ins_north": longitude, "ins_east": latitude}
+    degrees = {"ins_north": latitude, "ins_east": longitude}
     cases = [
+        (("map", "latitude and longitude look swapped".capitalize(), "exchange 'ins_north' and 'ins_east'", "row 1"),
+         lambda: scenario.load(files(), replace(write(tmp_path, flight, **swapped), coordinates="map"))),
+        (("map", "map's own coordinates", 'set coordinates = "map"'), lambda: scenario.load(files(), write(tmp_path, flight, **degrees))),
+        (("map", "meters from its south-west", 'set coordinates = "local"'),
+         lambda: scenario.load(files(), replace(write(tmp_path, flight), coordinates="map"))),
+        (("map", "coordinates are degrees", "join more"),
+         lambda: scenario.load(files(), replace(write(tmp_path, flight, ins_north=np.full(40, 4e6), ins_east=np.full(40, 7e5)),
+                                                coordinates="map"))),
+        (("map outside", "'missing'", "'ignore'"), lambda: scenario.load(replace(files(), outside="ignore"), write(tmp_path, flight))),
+        (("map", "covers", "row 1"), lambda: scenario.load(replace(files(), outside="missing"),
+                                                           write(tmp_path, flight, ins_east=np.full(40, 9e4)))),
         (("map", "covers", "row 1"), lambda: scenario.load(files(), write(tmp_path, flight, ins_east=np.full(40, 9e4)))),
         (("'ins_north'", "row 8"), lambda: scenario.load(files(), write(tmp_path, flight, ins_north=holes))),
         (("times", "row 40"), lambda: scenario.load(files(), write(tmp_path, flight, [*range(39), 5]))),

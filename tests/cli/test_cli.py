@@ -65,10 +65,21 @@ def test_demo_writes_everything(demo):
 
 def test_run_repeats_the_demo(folder, demo, capsys):
     assert main(["run", str(folder / "terrain.toml"), "--seed", "1"]) == 0
-    assert "marginalized" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "marginalized" in printed and printed.count("Terrain: rough enough: ") == 1
     assert {"marginalized.nc", "summary.json", "map.png", "error.png"} <= {path.name for path in (folder / "run").iterdir()}
     summary = json.loads((folder / "run" / "summary.json").read_text())
     assert summary["settings"]["seed"] == 1 and summary["settings"]["noises"]["altimeter"] == 15.0
+
+
+def test_run_with_fifteen_states(folder, capsys):
+    change(folder, "states = 9", "states = 15")
+    assert main(["run", str(folder / "terrain.toml"), "--filter.n", "60"]) == 0
+    assert "Terrain: rough enough: " in capsys.readouterr().out
+    summary = json.loads((folder / "run" / "summary.json").read_text())
+    assert summary["settings"]["inertial"] == {"states": 15, "grade": "tactical"}
+    assert summary["results"]["marginalized"]["final_error_m"] < 3000
+    assert (folder / "run" / "states.png").is_file() and (folder / "run" / "error.png").is_file()
 
 
 def test_run_without_truth_on_parquet(folder, capsys):
@@ -109,6 +120,10 @@ def test_run_without_truth_on_parquet(folder, capsys):
     ('["jacksboro_fault_dem.npz"]', "[3]", ("[map] files", "list of texts")),
     ('height = "height"', 'height = "radar"', ("'radar'", "ins_north")),
     ('coordinates = "local"', 'coordinates = "map"', ("map", "covers", "outside")),
+    ('outside = "refuse"', 'outside = "ignore"', ("map outside", "'missing'", "'ignore'")),
+    ("states = 9", "states = 12", ("inertial states", "9 or 15", "12")),
+    ('grade = "tactical"', 'grade = "cheap"', ("inertial grade", "'tactical'", "'cheap'")),
+    ("gyro_bias = 0.06", "gyro_bias = 0", ("prior gyro_bias", "0")),
     ('out = "run"', 'out = "flight.csv"', ("flight.csv", "folder")),
 ])
 def test_bad_settings_are_refused(folder, capsys, old, new, words):

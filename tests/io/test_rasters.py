@@ -207,6 +207,8 @@ REFUSED = {
     ),
     "tiff geocentric": (lambda d: geotiff(d / "a.tif", crs="EPSG:4978"), "reference system"),
     "tiff beyond pole": (lambda d: geotiff(d / "a.tif", transform=Affine(0.001, 0, 5, 0, -0.001, 95)), "95"),
+    "tiff meters as degrees": (lambda d: geotiff(d / "a.tif", transform=Affine(30, 0, 376e3, 0, -30, 38e5)), "latitudes"),
+    "tiff degrees as meters": (lambda d: geotiff(d / "a.tif", crs="EPSG:32611"), "look like degrees"),
     "tiff one row": (lambda d: geotiff(d / "a.tif", HEIGHTS[:1]), "1 rows"),
     "tiff 9999": (lambda d: geotiff(d / "a.tif", with_height(9999)), "nodata=9999"),
     "tiff -9999": (lambda d: geotiff(d / "a.tif", with_height(-9999)), "row 7, column 2"),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from motes.applications.terrain_navigation.settings import ROUTES, Noises
+from motes.applications.terrain_navigation.settings import ROUTES, Inertial, Noises
 from motes.cli.compiled import keep_programs
 from motes.cli.filters import KINDS, FilterChoice, build
 from motes.cli.options import check_seed, from_flags
@@ -33,6 +33,7 @@ class Demo:
         filter: filters to compare, marginalized or particle; the pictures show the first.
         route: which of two flights.
         position_noise: random walk of the inertial position error, m/sqrt(s).
+        states: of the inertial errors, 9 or 15.
     """
 
     n: int = FilterChoice.n
@@ -41,6 +42,7 @@ class Demo:
     filter: tuple[str, ...] = tuple(KINDS)
     route: Literal["first", "second"] = "first"
     position_noise: float = Noises.position
+    states: Literal[9, 15] = 9
 
 
 def main(words: Sequence[str]) -> None:
@@ -56,7 +58,8 @@ def main(words: Sequence[str]) -> None:
     from motes.cli.terrain import fly
 
     filters = {kind: build(FilterChoice(kind=kind, n=settings.n)) for kind in settings.filter or tuple(KINDS)}
-    flight = scenario.simulated(settings.seed, route=ROUTES[settings.route], noises=Noises(position=settings.position_noise))
+    flight = scenario.simulated(settings.seed, route=ROUTES[settings.route], noises=Noises(position=settings.position_noise),
+                                kind=Inertial(states=settings.states))
     folder = fly(flight, filters, settings.seed, settings, settings.out)
     write_flight(flight, settings, folder)
     print(f"Results are in {folder}. The same flight from its files: motes run {folder / 'terrain.toml'}")
@@ -81,7 +84,8 @@ def write_flight(flight: "Flight", settings: Demo, folder: Path) -> None:
         rows.writerow([f"{second:.3f}", *(f"{float(value):.3f}" for value in values)])
     write_text(folder / "flight.csv", table.getvalue())
     write_text(folder / "terrain.toml", _TOML.format(
-        map=map_file.name, seed=settings.seed, kind=(settings.filter or tuple(KINDS))[0], n=settings.n, position=settings.position_noise))
+        map=map_file.name, seed=settings.seed, kind=(settings.filter or tuple(KINDS))[0], n=settings.n,
+        position=settings.position_noise, states=settings.states))
 
 
 _TOML = """\
@@ -92,6 +96,7 @@ out = "run"
 
 [map]
 files = ["{map}"]             # DTED, HGT, GeoTIFF or npz; several neighbors are joined
+outside = "refuse"            # a flight that leaves the map; "missing": fixes off the map are missing data
 
 [data]
 file = "flight.csv"                                      # CSV or Parquet, one row per fix
@@ -100,6 +105,10 @@ time = "time"                                            # seconds or ISO 8601
 inertial = ["ins_north", "ins_east", "ins_altitude"]     # the track of the inertial navigation system
 height = "height"                                        # of the radio altimeter above terrain, m; empty where it failed
 truth = ["true_north", "true_east"]                      # for scoring; leave it out where it is not known
+
+[inertial]
+states = {states}              # errors: 9, or 15 (attitude and sensor biases in place of accelerations; straight level flight)
+grade = "tactical"      # of the 15 states: navigation, tactical or consumer
 
 [noises]
 position = {position}          # random walks of the inertial errors: m/sqrt(s)
@@ -112,6 +121,9 @@ horizontal_position = 1000.0
 vertical_position = 100.0
 horizontal_velocity = 5.0
 vertical_velocity = 1.0
+attitude = 0.5          # degrees; this and the biases: of the 15 states
+accelerometer_bias = 0.01   # m/s^2
+gyro_bias = 0.06        # degrees per hour
 
 [filter]
 kind = "{kind}"   # or "particle"

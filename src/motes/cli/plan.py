@@ -53,7 +53,7 @@ def main(words: Sequence[str]) -> None:
     from motes.applications.terrain_navigation import scenario
     from motes.planning.plan import Pilot, plan
 
-    flight = scenario.load(config.map, config.data, config.noises, config.prior)
+    flight = scenario.load(config.map, config.data, config.noises, config.prior, config.inertial)
     inputs = jax.tree.map(lambda leaf: leaf[: config.fixes], flight.inputs)
     print(plan(flight.model, budget, states=config.states, verify=config.verify,
                pilot=Pilot(runs=config.runs, seed=config.seed, inputs=inputs)))

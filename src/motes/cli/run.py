@@ -1,14 +1,14 @@
 """`motes run CONFIG.toml`: run a filter on the user's own map and measurements.
 
-The TOML file has the tables [map], [data], [noises], [prior] and [filter] and the keys `seed` and `out`; all but `files` of [map] and
-`file` of [data] have defaults. `motes demo` writes one, with comments, beside a flight that it fits. Paths in the file are relative to its
-folder, those in flags to where the command is called. Writes the same files as `motes demo`.
+The TOML file has the tables [map], [data], [inertial], [noises], [prior] and [filter] and the keys `seed` and `out`; all but `files` of
+[map] and `file` of [data] have defaults. `motes demo` writes one, with comments, beside a flight that it fits. Paths in the file are
+relative to its folder, those in flags to where the command is called. Writes the same files as `motes demo`.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from motes.applications.terrain_navigation.settings import MapFiles, Noises, Prior, Recording
+from motes.applications.terrain_navigation.settings import Inertial, MapFiles, Noises, Prior, Recording
 from motes.cli.compiled import keep_programs
 from motes.cli.filters import FilterChoice, build
 from motes.cli.options import check_seed, from_flags, from_toml, refuse
@@ -23,6 +23,7 @@ class Config:
     Attributes:
         map: the map.
         data: the measurements.
+        inertial: how the errors of the inertial system are modeled.
         noises: standard deviations of process and altimeter.
         prior: standard deviations at the first fix.
         filter: the filter.
@@ -32,6 +33,7 @@ class Config:
 
     map: MapFiles = MapFiles()
     data: Recording = Recording()
+    inertial: Inertial = Inertial()
     noises: Noises = Noises()
     prior: Prior = Prior()
     filter: FilterChoice = FilterChoice()
@@ -56,6 +58,6 @@ def main(words: Sequence[str]) -> None:
     from motes.cli.terrain import fly
 
     filters = {config.filter.kind: build(config.filter)}
-    flight = scenario.load(config.map, config.data, config.noises, config.prior)
+    flight = scenario.load(config.map, config.data, config.noises, config.prior, config.inertial)
     folder = fly(flight, filters, config.seed, config, config.out)
     print(f"Results are in {folder}.")

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from motes.applications.terrain_navigation import scenario
-from motes.applications.terrain_navigation.model import corrected
+from motes.applications.terrain_navigation.model import corrected, places_of
+from motes.applications.terrain_navigation.roughness import roughness
 from motes.cli import running
 from motes.core import checks
 from motes.filters.interface import Filter
@@ -16,7 +17,7 @@ from motes.plotting.terrain import Tracks, error_figure, map_figure
 
 
 def fly(flight: scenario.Flight, filters: Mapping[str, Filter], seed: int, settings: Any, out: str) -> Path:
-    """Run filters over a flight, print a table, and write histories, a summary and pictures.
+    """Tell whether the terrain is rough enough, run filters over a flight, print a table, and write histories, a summary and pictures.
 
     Args:
         flight: what was measured.
@@ -34,6 +35,7 @@ def fly(flight: scenario.Flight, filters: Mapping[str, Filter], seed: int, setti
     for module in ("matplotlib.figure", "xarray", "h5netcdf"):
         checks.need(module, "results")  # where one is missing, say so before the work and not after it
     running.check_folder(out)
+    print(roughness(flight.model, flight.inputs))
     outcomes = running.race(seed, filters, flight.model, flight.ys, flight.inputs)
     scores = {name: scenario.score(outcome.history, flight) for name, outcome in outcomes.items()}
     found = {name: running.results(outcome) | _told(scores[name]) for name, outcome in outcomes.items()}
@@ -61,9 +63,10 @@ def _told(score: scenario.Score | None) -> dict[str, Any]:
 def _pictures(flight: scenario.Flight, outcomes: Mapping[str, running.Outcome]) -> dict[str, Any]:
     first, outcome = next(iter(outcomes.items()))
     history = outcome.history
-    covs = np.asarray(history.cov)[:, :2, :2]
+    across = np.array(places_of(history.names)[:2])
+    covs = np.asarray(history.cov)[:, across[:, None], across]
     inertial = (np.asarray(flight.inputs.north), np.asarray(flight.inputs.east))
-    north, east, _ = corrected(flight.inputs, history.mean)
+    north, east, _ = corrected(flight.inputs, history.mean, history.names)
     true = None if flight.truth is None else (np.asarray(flight.truth[:, 0]), np.asarray(flight.truth[:, 1]))
     tracks = Tracks(inertial, (np.asarray(north), np.asarray(east)), covs, true)
     pictures = {
@@ -71,7 +74,8 @@ def _pictures(flight: scenario.Flight, outcomes: Mapping[str, running.Outcome]) 
         "states.png": plot(history, truth=flight.errors),
     }
     if true is not None:
-        errors = {name: scenario.horizontal_errors(corrected(flight.inputs, one.history.mean), flight) for name, one in outcomes.items()}
+        found = {name: corrected(flight.inputs, one.history.mean, history.names) for name, one in outcomes.items()}
+        errors = {name: scenario.horizontal_errors(places, flight) for name, places in found.items()}
         deviation = np.sqrt(covs[:, 0, 0] + covs[:, 1, 1])
         pictures["error.png"] = error_figure(flight.seconds, errors | {"inertial only": scenario.horizontal_errors(inertial, flight)},
                                              deviation, scenario.LOST)

@@ -22,6 +22,8 @@ from motes.io.raster_headers import HEADER_BYTES, check_dted, check_hgt, check_s
 
 LARGEST = 36_000_000
 LOWEST, HIGHEST = -600.0, 9500.0
+FINEST = 0.05
+"""Meters; posts of a projected map that seem nearer to each other are degrees."""
 UNDECLARED_VOIDS = (-32767.0, -32768.0)
 METERS = ("", "m", "metre", "metres", "meter", "meters")
 SEMI_MAJOR, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3  # WGS 84
@@ -66,6 +68,21 @@ class Raster:
         """Outermost posts as (south, west, north, east), in degrees or meters."""
         return self.south, self.west, self.north, self.east
 
+    @property
+    def latitude(self) -> float | None:
+        """Latitude of the middle, degrees; None on a projected raster whose reference system has no EPSG number."""
+        if self.crs == "geographic":
+            return self._middle[0]
+        if self.epsg is None:
+            return None
+        north, east = self._middle
+        warp = need("rasterio.warp", "terrain")
+        return float(warp.transform(f"EPSG:{self.epsg}", "EPSG:4326", [east], [north])[1][0])
+
+    @property
+    def _middle(self) -> tuple[float, float]:
+        return (self.north + self.south) / 2, (self.west + self.east) / 2
+
     def spacing_m(self, latitude: float | None = None) -> tuple[float, float]:
         """Return the distance between rows and between columns in meters.
 
@@ -74,7 +91,7 @@ class Raster:
         """
         if self.crs == "projected":
             return self.dy, self.dx
-        per_north, per_east = meters_per_degree((self.north + self.south) / 2 if latitude is None else latitude)
+        per_north, per_east = meters_per_degree(self._middle[0] if latitude is None else latitude)
         return self.dy * per_north, self.dx * per_east
 
 
@@ -241,6 +258,9 @@ def _georeference(name: str, file: Any) -> tuple[float, float, float, float, str
     north = step.f - dy / 2 if step.e < 0 else step.f + (file.height - 0.5) * dy
     west = step.c + dx / 2
     south, east = north - (file.height - 1) * dy, west + (file.width - 1) * dx
+    if crs.is_projected and max(dy, dx) < FINEST:
+        reject(name, f"posts at least {FINEST} m apart in {crs.to_string()}", f"{max(dy, dx):.3g} m",
+               "These look like degrees: the reference system is a wrong one.")
     if crs.is_geographic and not (-90 - dy <= south and north <= 90 + dy and -180 - dx <= west and east <= 360 + dx):
         given = f"latitudes {south:.6g} to {north:.6g} and longitudes {west:.6g} to {east:.6g}"
         reject(name, "latitudes within 90 and longitudes within 180 degrees", given)

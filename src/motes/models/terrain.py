@@ -1,5 +1,6 @@
-"""Terrain as a function of position: bilinear heights and slopes on a grid, ready for jit, vmap and differentiation."""
+"""Terrain as a function of position: heights and slopes between the posts of a grid, ready for jit, vmap and differentiation."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -7,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core.checks import as_float, is_concrete, refuse
+from motes.core.checks import as_float, is_concrete, option, refuse
 from motes.core.record import record, static
 from motes.io.rasters import Raster
 
@@ -16,9 +17,11 @@ from motes.io.rasters import Raster
 class TerrainMap:
     """A grid of heights in a local metric frame whose origin is the south-west post.
 
-    Positions are meters north and east of that post. Between posts heights are bilinear; slopes jump at the lines
-    between cells, where those of the cell to the north and east count. Look-ups beyond the edge take the height of the
-    nearest edge and no slope across it; `inside` tells. A look-up that needs a void is NaN.
+    Positions are meters north and east of that post. Between posts heights are bilinear, from the four posts of the cell;
+    slopes jump at the lines between cells, where those of the cell to the north and east count. Cubic heights (Catmull and Rom
+    1974: splines through 16 posts, straight on beyond the outermost) have slopes that do not jump, for bounds, which
+    differentiate the map; they take about three times as long. Look-ups beyond the edge take the height of the nearest edge and
+    no slope across it, or are NaN where the world beyond is a void; `inside` tells. A look-up that needs a void is NaN.
 
     Attributes:
         heights: `(rows, columns)`, meters, NaN at voids; row 0 is the SOUTHERNMOST, column 0 the westernmost.
@@ -26,6 +29,9 @@ class TerrainMap:
         de: distance between columns, meters.
         origin: latitude and longitude (degrees) or northing and easting (meters) of the south-west post.
         scale: meters per unit of those two coordinates.
+        interpolation: "bilinear" or "cubic".
+        beyond: what lies beyond the outermost posts, "edge" or "void".
+        latitude: of the middle of the map, degrees; None where it is not known.
     """
 
     heights: jax.Array
@@ -33,15 +39,20 @@ class TerrainMap:
     de: float
     origin: tuple[float, float] = static(default=(0.0, 0.0))
     scale: tuple[float, float] = static(default=(1.0, 1.0))
+    interpolation: str = static(default="bilinear")
+    beyond: str = static(default="edge")
+    latitude: float | None = static(default=None)
 
     def __post_init__(self) -> None:
-        """Check the grid and the spacing."""
+        """Check the grid, the spacing and the words."""
         heights = as_float("heights", self.heights)
         if heights.ndim != 2 or min(heights.shape) < 2 or heights.size >= 2**31:
             refuse("heights", "at least 2 rows and 2 columns, and fewer than 2**31 posts", f"shape {heights.shape}")
         for name, spacing in (("dn", self.dn), ("de", self.de)):
             if is_concrete(spacing) and not (np.ndim(spacing) == 0 and 0 < float(spacing) < np.inf):
                 refuse(name, "a positive distance in meters", spacing)
+        option("interpolation", self.interpolation, tuple(_LOOK_UPS))
+        option("beyond", self.beyond, ("edge", "void"))
         object.__setattr__(self, "heights", heights)
 
     @property
@@ -50,13 +61,14 @@ class TerrainMap:
         return (self.heights.shape[0] - 1) * self.dn, (self.heights.shape[1] - 1) * self.de
 
     def height(self, north: Any, east: Any) -> jax.Array:
-        """Return bilinear heights, meters.
+        """Return heights, meters.
 
         Args:
             north: meters north of the south-west post, any shape.
             east: meters east of it, a shape that broadcasts with `north`.
         """
-        return _height(self.heights, *self._cells(north, east))
+        row, column = self._cells(north, east)
+        return self._known(row, column, _HEIGHTS[self.interpolation](self.heights, row, column))
 
     def gradient(self, north: Any, east: Any) -> tuple[jax.Array, jax.Array]:
         """Return the slopes to the north and to the east (meters per meter), shaped as `height` returns."""
@@ -64,14 +76,13 @@ class TerrainMap:
 
     def height_and_gradient(self, north: Any, east: Any) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         """Return heights and the two slopes from one look-up; arguments as for `height`."""
-        height, along_rows, along_columns = _look_up(self.heights, *self._cells(north, east))
-        return height, (along_rows / self.dn, along_columns / self.de)
+        row, column = self._cells(north, east)
+        height, along_rows, along_columns = _LOOK_UPS[self.interpolation](self.heights, row, column)
+        return self._known(row, column, height), (along_rows / self.dn, along_columns / self.de)
 
     def inside(self, north: Any, east: Any) -> jax.Array:
         """Tell which positions lie within the outermost posts; arguments as for `height`."""
-        row, column = self._cells(north, east)
-        rows, columns = self.heights.shape
-        return (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
+        return self._within(*self._cells(north, east))
 
     def to_local(self, latitude: Any, longitude: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return meters north and east of the south-west post for map coordinates, in float64 on the host.
@@ -92,8 +103,15 @@ class TerrainMap:
         row, column = jnp.broadcast_arrays(jnp.asarray(north) / self.dn, jnp.asarray(east) / self.de)
         return row, column
 
+    def _within(self, row: jax.Array, column: jax.Array) -> jax.Array:
+        rows, columns = self.heights.shape
+        return (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
 
-def terrain_map(raster: Raster, latitude: float | None = None) -> TerrainMap:
+    def _known(self, row: jax.Array, column: jax.Array, height: jax.Array) -> jax.Array:
+        return height if self.beyond == "edge" else jnp.where(self._within(row, column), height, jnp.nan)
+
+
+def terrain_map(raster: Raster, latitude: float | None = None, interpolation: str = "bilinear") -> TerrainMap:
     """Lay a raster into a local metric frame.
 
     A geographic raster is flattened: one degree of latitude and one of longitude get the lengths they have on the
@@ -103,6 +121,7 @@ def terrain_map(raster: Raster, latitude: float | None = None) -> TerrainMap:
     Args:
         raster: heights with row 0 in the north.
         latitude: where lengths are exact, degrees; the raster's mean latitude if not given.
+        interpolation: "bilinear" or "cubic".
 
     Returns:
         The map, float64 where JAX computes in 64 bits and float32 otherwise.
@@ -110,7 +129,7 @@ def terrain_map(raster: Raster, latitude: float | None = None) -> TerrainMap:
     dn, de = raster.spacing_m(latitude)
     scale = (dn / raster.dy, de / raster.dx)
     heights = jnp.asarray(np.ascontiguousarray(raster.heights[::-1]), dtype=jnp.result_type(float))
-    return TerrainMap(heights, dn, de, (raster.south, raster.west), scale)
+    return TerrainMap(heights, dn, de, (raster.south, raster.west), scale, interpolation, latitude=raster.latitude)
 
 
 def _cell(position: jax.Array, count: int) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -143,21 +162,63 @@ def _look_up(heights: jax.Array, row: jax.Array, column: jax.Array) -> tuple[jax
     return height, jnp.where(row_inside, north - south, 0), jnp.where(column_inside, along_columns, 0)
 
 
-@jax.custom_jvp
-def _height(heights: jax.Array, row: jax.Array, column: jax.Array) -> jax.Array:
-    return _look_up(heights, row, column)[0]
+@partial(jax.jit, inline=True)
+def _look_up_cubic(heights: jax.Array, row: jax.Array, column: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return height and slopes per cell at positions given in cells, slopes without jumps."""
+    rows, columns = heights.shape
+    i, a, row_inside = _cell(row, rows)
+    j, b, column_inside = _cell(column, columns)
+    (up, up_slope), (across, across_slope) = _spline(i, a, rows), _spline(j, b, columns)
+    height = along_rows = along_columns = jnp.zeros_like(a)
+    flat = heights.reshape(-1)
+    for m in range(4):
+        level = change = jnp.zeros_like(b)
+        for k in range(4):
+            place = jnp.clip(i + (m - 1), 0, rows - 1) * columns + jnp.clip(j + (k - 1), 0, columns - 1)
+            post = flat.at[place].get(mode="promise_in_bounds")
+            level, change = level + _weighted(across[k], post), change + _weighted(across_slope[k], post)
+        height, along_rows = height + _weighted(up[m], level), along_rows + _weighted(up_slope[m], level)
+        along_columns += _weighted(up[m], change)
+    return height, jnp.where(row_inside, along_rows, 0), jnp.where(column_inside, along_columns, 0)
 
 
-@partial(_height.defjvp, symbolic_zeros=True)
-def _height_jvp(primals: tuple[jax.Array, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, Any]:
-    # written out because the derivative of the masked weights would be wrong on the lines of posts
-    heights, row, column = primals
-    height, along_rows, along_columns = _look_up(heights, row, column)
-    change = jnp.zeros_like(height)
-    zero = jax.custom_derivatives.SymbolicZero
-    for slope, tangent in ((along_rows, tangents[1]), (along_columns, tangents[2])):
-        if not isinstance(tangent, zero):
-            change += slope * tangent
-    if not isinstance(tangents[0], zero):
-        change += _height(tangents[0], row, column)
-    return height, change
+def _spline(index: jax.Array, s: jax.Array, count: int) -> tuple[list[jax.Array], list[jax.Array]]:
+    """Return the weights of the posts before, at, after and beyond a cell at the fraction s of it, and their slopes."""
+    weights = [((2 - s) * s - 1) * s / 2, ((3 * s - 5) * s * s + 2) / 2, ((4 - 3 * s) * s + 1) * s / 2, (s - 1) * s * s / 2]
+    slopes = [((4 - 3 * s) * s - 1) / 2, (9 * s - 10) * s / 2, ((8 - 9 * s) * s + 1) / 2, (3 * s - 2) * s / 2]
+    return _straight_on(weights, index, count), _straight_on(slopes, index, count)
+
+
+def _straight_on(weights: list[jax.Array], index: jax.Array, count: int) -> list[jax.Array]:
+    """Give the weights of posts that a grid lacks, on the line through the last two, to those two."""
+    before, near, far, beyond = weights
+    first, last = jnp.where(index == 0, before, 0), jnp.where(index == count - 2, beyond, 0)
+    return [before - first, near + 2 * first - last, far + 2 * last - first, beyond - last]
+
+
+def _differentiable(look_up: Callable[..., tuple[jax.Array, jax.Array, jax.Array]]) -> Callable[..., jax.Array]:
+    """Return the height of a look-up, which has its slopes for derivatives."""
+
+    @jax.custom_jvp
+    def height(heights: jax.Array, row: jax.Array, column: jax.Array) -> jax.Array:
+        return look_up(heights, row, column)[0]
+
+    @partial(height.defjvp, symbolic_zeros=True)
+    def height_jvp(primals: tuple[jax.Array, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, Any]:
+        # written out because the derivative of the masked weights would be wrong on the lines of posts
+        heights, row, column = primals
+        value, along_rows, along_columns = look_up(heights, row, column)
+        change = jnp.zeros_like(value)
+        zero = jax.custom_derivatives.SymbolicZero
+        for slope, tangent in ((along_rows, tangents[1]), (along_columns, tangents[2])):
+            if not isinstance(tangent, zero):
+                change += slope * tangent
+        if not isinstance(tangents[0], zero):
+            change += height(tangents[0], row, column)
+        return value, change
+
+    return height
+
+
+_LOOK_UPS = {"bilinear": _look_up, "cubic": _look_up_cubic}
+_HEIGHTS = {name: _differentiable(look_up) for name, look_up in _LOOK_UPS.items()}

@@ -1,8 +1,8 @@
 """Errors of an inertial navigation system, seen by a radio altimeter over a map (paper 003; its position noise is the project's choice).
 
 Nine states, north, east, down: position errors rN, rE, rD (m), velocity errors vN, vE, vD (m/s) and slowly varying acceleration errors
-aN, aE, aD (m/s^2). An error is what must be ADDED to the inertial value to get the true one, so the true altitude is the inertial
-altitude minus rD, down being positive. The altimeter measures
+aN, aE, aD (m/s^2); or the fifteen of `models.inertial`, among which are those of position and velocity. An error is what must be ADDED to
+the inertial value to get the true one, so the true altitude is the inertial altitude minus rD, down being positive. The altimeter measures
 
     height above terrain = true altitude - map(true north, true east) + noise.
 
@@ -15,11 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.terrain_navigation.settings import NOISES, PRIOR, Noises, Prior
+from motes.applications.terrain_navigation.cruise import Cruise, along_axes, deviations, dynamics
+from motes.applications.terrain_navigation.settings import INERTIAL, NOISES, PRIOR, Inertial, Noises, Prior
+from motes.bounds.kalman_at_truth import kalman_at_truth
 from motes.core import checks
-from motes.core.record import record, values
+from motes.core.record import record, replace, static, values
 from motes.laws.conditional import AdditiveGaussian, LinearGaussian
 from motes.laws.gaussian import Gaussian
+from motes.models import inertial
 from motes.models.state_space import StateSpaceModel
 from motes.models.terrain import TerrainMap
 
@@ -52,15 +55,18 @@ class HeightAboveTerrain:
     Attributes:
         terrain: the map.
         typical: height to expect where the map has a void, meters.
+        places: where the states have rN, rE and rD.
     """
 
     terrain: TerrainMap
     typical: float
+    places: tuple[int, int, int] = static(default=(0, 1, 2))
 
     def __call__(self, x: jax.Array, u: Track, t: Any) -> jax.Array:
         """Return the height of one state above the terrain."""
-        ground = self.terrain.height(u.north + x[0], u.east + x[1])
-        return (u.altitude - x[2] - jnp.where(jnp.isnan(ground), self.typical, ground))[None]
+        north, east, down = self.places
+        ground = self.terrain.height(u.north + x[north], u.east + x[east])
+        return (u.altitude - x[down] - jnp.where(jnp.isnan(ground), self.typical, ground))[None]
 
 
 @record
@@ -73,15 +79,18 @@ class NoiseOverVoids:
         terrain: the map.
         variance: of the altimeter, m^2.
         spread: variance of the map's heights, m^2.
+        places: where the states have rN, rE and rD.
     """
 
     terrain: TerrainMap
     variance: float
     spread: float
+    places: tuple[int, int, int] = static(default=(0, 1, 2))
 
     def __call__(self, x: jax.Array, u: Track, t: Any) -> jax.Array:
         """Return the variance at one state."""
-        ground = self.terrain.height(u.north + x[0], u.east + x[1])
+        north, east, _ = self.places
+        ground = self.terrain.height(u.north + x[north], u.east + x[east])
         return (self.variance + jnp.where(jnp.isnan(ground), self.spread, 0.0))[None, None]
 
 
@@ -140,55 +149,95 @@ def process_cov(step: Any, position: float, velocity: float, acceleration: float
     return jnp.kron(along, jnp.eye(3))
 
 
-def error_model(terrain: TerrainMap, noises: Noises = NOISES, prior: Prior = PRIOR, step: float | None = 0.3) -> StateSpaceModel:
+def error_model(
+    terrain: TerrainMap,
+    noises: Noises = NOISES,
+    prior: Prior = PRIOR,
+    step: float | None = 0.3,
+    kind: Inertial = INERTIAL,
+    cruise: Cruise | None = None,
+) -> StateSpaceModel:
     """Return the model of the inertial errors; its inputs are a `Track`.
 
     Args:
         terrain: the map; where it has voids the altimeter's variance depends on the state, otherwise it is constant.
         noises: standard deviations of process and altimeter.
         prior: standard deviations at the first fix.
-        step: seconds between fixes, or None where each step's `Track.since` tells.
+        step: seconds between fixes, or None where each step's `Track.since` tells (nine states only).
+        kind: nine states or fifteen.
+        cruise: the flight, for fifteen states.
 
     Raises:
-        MotesError: a standard deviation is not usable (of the process noises, those of velocity and acceleration may be zero), or the
-            step is not a positive number.
+        MotesError: a standard deviation is not usable (those of the process may be zero), the step is not a positive number, or fifteen
+            states are asked for without a cruise or for fixes that are not evenly spaced.
     """
+    if kind.states not in (9, 15):
+        checks.refuse("inertial states", "9 or 15", kind.states)
+    checks.option("inertial grade", kind.grade, tuple(inertial.GRADES))
     for table, given in (("noises", values(noises)), ("prior", values(prior))):
         for name, value in given.items():
-            may_be_zero = table == "noises" and name in ("velocity", "acceleration")
+            may_be_zero = table == "noises" and name != "altimeter"
             # beyond these the square is lost in float32
             if not (SMALLEST <= value <= LARGEST or (may_be_zero and value == 0)):
                 checks.refuse(f"{table} {name}", f"a standard deviation from {SMALLEST:g} to {LARGEST:g}", value)
     if step is not None and not 0 < step < np.inf:
         checks.refuse("step", "a positive number of seconds", step)
-    across, down = (1.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-    deviations = np.concatenate([
-        np.multiply(across, prior.horizontal_position) + np.multiply(down, prior.vertical_position),
-        np.multiply(across, prior.horizontal_velocity) + np.multiply(down, prior.vertical_velocity),
-        np.multiply(across, prior.horizontal_acceleration) + np.multiply(down, prior.vertical_acceleration),
-    ])
-    walks = (noises.position, noises.velocity, noises.acceleration)
-    dynamics = LinearGaussian(Transition(), ProcessNoise(*walks)) if step is None else LinearGaussian(
-        transition(step), process_cov(step, *walks))
+    if kind.states == 9:
+        names, spread, moves = NAMES, _spread(prior), _dynamics(noises, step)
+    elif step is None or cruise is None:
+        checks.refuse("inertial states", "9 where fixes are not evenly spaced or no cruise is given", kind.states)
+    else:
+        names, spread = inertial.NAMES, deviations(prior)
+        moves = dynamics(cruise, inertial.GRADES[kind.grade], noises.position, step)
     return StateSpaceModel(
-        initial=Gaussian(jnp.zeros(9), jnp.diag(jnp.asarray(deviations**2, jnp.result_type(float)))),
-        dynamics=dynamics,
-        sensor=altimeter(terrain, noises.altimeter),
-        names=NAMES,
+        initial=Gaussian(jnp.zeros(len(names)), jnp.diag(jnp.asarray(spread**2, jnp.result_type(float)))),
+        dynamics=moves,
+        sensor=altimeter(terrain, noises.altimeter, names),
+        names=names,
     )
 
 
-def altimeter(terrain: TerrainMap, deviation: float) -> AdditiveGaussian:
-    """Return the law of one height above terrain, noise of the given standard deviation (m)."""
+def _spread(prior: Prior) -> np.ndarray:
+    return along_axes(
+        (prior.horizontal_position, prior.vertical_position),
+        (prior.horizontal_velocity, prior.vertical_velocity),
+        (prior.horizontal_acceleration, prior.vertical_acceleration),
+    )
+
+
+def _dynamics(noises: Noises, step: float | None) -> LinearGaussian:
+    walks = (noises.position, noises.velocity, noises.acceleration)
+    if step is None:
+        return LinearGaussian(Transition(), ProcessNoise(*walks))
+    return LinearGaussian(transition(step), process_cov(step, *walks))
+
+
+def altimeter(terrain: TerrainMap, deviation: float, names: tuple[str, ...] = NAMES) -> AdditiveGaussian:
+    """Return the law of one height above terrain, noise of the given standard deviation (m), for states of the given names."""
     heights = np.asarray(terrain.heights, np.float64)
     typical, spread = float(np.nanmean(heights)), float(np.nanvar(heights))
-    expected = HeightAboveTerrain(terrain, typical)
+    places = places_of(names)
+    expected = HeightAboveTerrain(terrain, typical, places)
     variance = deviation**2
-    if not np.isnan(heights).any():
+    if not np.isnan(heights).any() and terrain.beyond == "edge":
         return AdditiveGaussian(expected, jnp.full((1, 1), variance))
-    return AdditiveGaussian(expected, NoiseOverVoids(terrain, variance, spread))
+    return AdditiveGaussian(expected, NoiseOverVoids(terrain, variance, spread, places))
 
 
-def corrected(track: Track, errors: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return north, east and altitude `(t,)` of a track once errors `(t, 9)` (or more rows of it) are added to it."""
-    return track.north + errors[..., 0], track.east + errors[..., 1], track.altitude - errors[..., 2]
+def places_of(names: tuple[str, ...]) -> tuple[int, int, int]:
+    """Return the indices of rN, rE and rD."""
+    return names.index("rN"), names.index("rE"), names.index("rD")
+
+
+def corrected(track: Track, errors: jax.Array, names: tuple[str, ...] = NAMES) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return north, east and altitude `(t,)` of a track once errors `(t, x)` of states with the given names are added to it."""
+    north, east, down = places_of(names)
+    return track.north + errors[..., north], track.east + errors[..., east], track.altitude - errors[..., down]
+
+
+def unaided(model: StateSpaceModel, track: Track) -> np.ndarray:
+    """Return standard deviations `(t, 2)` of the north and east errors along a track without altimeter, m, in float64."""
+    deaf = replace(model, sensor=LinearGaussian(jnp.zeros((1, model.size)), jnp.eye(1)))
+    cov = kalman_at_truth(deaf, jnp.zeros((track.north.shape[0], model.size), model.dtype), track).cov
+    places = places_of(model.names)[:2]
+    return np.sqrt(np.asarray(cov, np.float64)[:, places, places])

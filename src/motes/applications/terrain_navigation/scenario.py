@@ -8,8 +8,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from motes.applications.terrain_navigation.coverage import check_covered, over_map, without_far_voids
+from motes.applications.terrain_navigation.cruise import Cruise, cruise_of
 from motes.applications.terrain_navigation.model import Track, corrected, error_model
-from motes.applications.terrain_navigation.settings import FIRST, NOISES, PRIOR, MapFiles, Noises, Prior, Recording, Route
+from motes.applications.terrain_navigation.settings import (
+    FIRST,
+    INERTIAL,
+    NOISES,
+    PRIOR,
+    Inertial,
+    MapFiles,
+    Noises,
+    Prior,
+    Recording,
+    Route,
+)
 from motes.core import checks
 from motes.core.record import record, replace
 from motes.core.types import KeyLike
@@ -22,9 +35,6 @@ from motes.models.terrain import TerrainMap, terrain_map
 
 LOST = 150.0
 """A run whose final horizontal error exceeds this many meters is lost."""
-REACH = 5.0
-"""Standard deviations of the inertial position within which voids of the map count."""
-SEGMENTS = 50
 EVEN = 1e-3
 """Fixes whose spacing varies by less than this share of it count as evenly spaced."""
 
@@ -40,7 +50,7 @@ class Flight:
         inputs: the inertial track.
         seconds: time of each fix since the first, `(t,)`, float64.
         truth: true north and east, `(t, 2)`, m; None if not known.
-        errors: true inertial errors `(t, 9)`, where they were simulated; otherwise None.
+        errors: true inertial errors `(t, x)`, where they were simulated; otherwise None.
     """
 
     model: StateSpaceModel
@@ -67,7 +77,13 @@ class Score(NamedTuple):
 
 
 def simulated(
-    key: KeyLike, terrain: TerrainMap | None = None, route: Route = FIRST, noises: Noises = NOISES, prior: Prior = PRIOR
+    key: KeyLike,
+    terrain: TerrainMap | None = None,
+    route: Route = FIRST,
+    noises: Noises = NOISES,
+    prior: Prior = PRIOR,
+    kind: Inertial = INERTIAL,
+    outside: str = "refuse",
 ) -> Flight:
     """Fly a route with inertial errors drawn from the model's own law.
 
@@ -77,26 +93,37 @@ def simulated(
         route: the true flight.
         noises: standard deviations of process and altimeter.
         prior: standard deviations at the first fix.
+        kind: nine error states or fifteen.
+        outside: as in `MapFiles`, of a route that leaves the map.
 
     Raises:
         MotesError: the route leaves the map.
     """
-    terrain = terrain_map(jacksboro()) if terrain is None else terrain
+    terrain = _bounded(terrain_map(jacksboro()) if terrain is None else terrain, outside)
     checks.positive_integer("route fixes", route.fixes)
-    model = error_model(terrain, noises, prior, route.step)
     seconds = np.arange(route.fixes) * route.step
     heading = np.radians(route.heading)
     north = route.north + route.speed * seconds * np.cos(heading)
     east = route.east + route.speed * seconds * np.sin(heading)
     altitude = np.full_like(north, float(np.nanmax(np.asarray(terrain.heights))) + route.clearance)
+    model = error_model(terrain, noises, prior, route.step, kind, _cruise(kind, terrain, (north, east, altitude), seconds))
     check_covered(terrain, north, east, "the flight")
     truth = Track(*(jnp.asarray(part, model.dtype) for part in (north, east, altitude)))
     # the errors depend neither on inputs nor on voids, so drawing twice with one key gives them, then the fixes that belong to them
     errors, _ = simulate(key, model, route.fixes, truth)
-    inertial = Track(*corrected(truth, -errors))
-    model = error_model(without_far_voids(terrain, inertial, seconds, noises, prior), noises, prior, route.step)
+    inertial = Track(*corrected(truth, -errors, model.names))
+    model = without_far_voids(model, inertial, noises.altimeter)
     errors, ys = simulate(key, model, route.fixes, inertial)
-    return Flight(model, terrain, ys, inertial, seconds, jnp.stack([truth.north, truth.east], axis=1), errors)
+    return Flight(model, terrain, over_map(terrain, inertial, ys), inertial, seconds, jnp.stack([truth.north, truth.east], axis=1), errors)
+
+
+def _bounded(terrain: TerrainMap, outside: str) -> TerrainMap:
+    checks.option("map outside", outside, ("refuse", "missing"))
+    return replace(terrain, beyond="edge" if outside == "refuse" else "void")
+
+
+def _cruise(kind: Inertial, terrain: TerrainMap, track: tuple[np.ndarray, ...], seconds: np.ndarray) -> Cruise | None:
+    return None if kind.states == 9 else cruise_of(terrain, np.stack(track, axis=1), seconds)
 
 
 def jacksboro_file() -> Path:
@@ -109,14 +136,16 @@ def load_map(files: MapFiles) -> TerrainMap:
 
     Raises:
         FileError: a file is damaged or does not fit the others.
-        MotesError: no file is named.
+        MotesError: no file is named, or what to do outside of them is no word for it.
     """
     if not files.files:
         checks.refuse("map files", "at least one file of heights", "none")
-    return terrain_map(mosaic([read_raster(file, nodata=files.nodata) for file in files.files]))
+    return _bounded(terrain_map(mosaic([read_raster(file, nodata=files.nodata) for file in files.files])), files.outside)
 
 
-def load(files: MapFiles, recording: Recording, noises: Noises = NOISES, prior: Prior = PRIOR) -> Flight:
+def load(
+    files: MapFiles, recording: Recording, noises: Noises = NOISES, prior: Prior = PRIOR, kind: Inertial = INERTIAL
+) -> Flight:
     """Load a recorded flight.
 
     Args:
@@ -124,10 +153,11 @@ def load(files: MapFiles, recording: Recording, noises: Noises = NOISES, prior: 
         recording: the table with the inertial track and the altimeter.
         noises: standard deviations of process and altimeter.
         prior: standard deviations at the first fix.
+        kind: nine error states or fifteen.
 
     Raises:
         FileError: a file is missing, damaged or lacks a column; the message names it.
-        MotesError: times decrease, the track has gaps, or the map does not cover it.
+        MotesError: times decrease, the track has gaps, the map does not cover it, or it is none for fifteen states.
     """
     _check_recording(recording)
     terrain = load_map(files)
@@ -143,14 +173,17 @@ def load(files: MapFiles, recording: Recording, noises: Noises = NOISES, prior: 
     seconds = times(table[recording.time], repeats=False)[1] if recording.time else np.arange(rows) * recording.step
     step, since = _spacing(seconds, recording.step)
     north, east = _local(terrain, recording, table, recording.inertial)
-    check_covered(terrain, north, east, f"the inertial track in {name}")
+    check_covered(terrain, north, east, f"the inertial track in {name}", _misreadings(terrain, recording, table))
+    altitude = table[recording.inertial[2]]
     dtype = terrain.heights.dtype
-    inertial = Track(*(jnp.asarray(part, dtype) for part in (north, east, table[recording.inertial[2]])))
+    inertial = Track(*(jnp.asarray(part, dtype) for part in (north, east, altitude)))
     if since is not None:
         inertial = replace(inertial, since=jnp.asarray(since, dtype))
-    model = error_model(without_far_voids(terrain, inertial, seconds, noises, prior), noises, prior, step)
+    cruise = _cruise(kind, terrain, (north, east, altitude), seconds)
+    model = without_far_voids(error_model(terrain, noises, prior, step, kind, cruise), inertial, noises.altimeter)
     truth = jnp.asarray(np.stack(_local(terrain, recording, table, recording.truth), axis=1), dtype) if recording.truth else None
-    return Flight(model, terrain, jnp.asarray(table[recording.height][:, None], dtype), inertial, seconds, truth)
+    ys = over_map(terrain, inertial, jnp.asarray(table[recording.height][:, None], dtype))
+    return Flight(model, terrain, ys, inertial, seconds, truth)
 
 
 def _check_recording(recording: Recording) -> None:
@@ -171,6 +204,20 @@ def _local(terrain: TerrainMap, recording: Recording, table: dict[str, Any], col
     return (north, east) if recording.coordinates == "local" else terrain.to_local(north, east)
 
 
+def _misreadings(terrain: TerrainMap, recording: Recording, table: dict[str, Any]) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Return what a track off the map may have been meant to be: advice, north and east."""
+    one, two = recording.inertial[:2]
+    swapped = replace(recording, inertial=(two, one))
+    local = recording.coordinates == "local"
+    other = replace(recording, coordinates="map" if local else "local")
+    meant = "the map's own coordinates" if local else "meters from its south-west post"
+    return [
+        (f"{'North and east' if local else 'Latitude and longitude'} look swapped: exchange {one!r} and {two!r}.",
+         *_local(terrain, swapped, table, swapped.inertial)),
+        (f'They look like {meant}: set coordinates = "{other.coordinates}".', *_local(terrain, other, table, recording.inertial)),
+    ]
+
+
 def _spacing(seconds: np.ndarray, otherwise: float) -> tuple[float | None, np.ndarray | None]:
     """Return the step where fixes are evenly spaced, and otherwise the seconds since the fix before."""
     steps = np.diff(seconds)
@@ -180,54 +227,6 @@ def _spacing(seconds: np.ndarray, otherwise: float) -> tuple[float | None, np.nd
     if np.abs(steps - usual).max() <= EVEN * usual:
         return float(steps.mean()), None
     return None, np.concatenate([[usual], steps])
-
-
-def without_far_voids(terrain: TerrainMap, inertial: Track, seconds: np.ndarray, noises: Noises, prior: Prior) -> TerrainMap:
-    """Return the map with the mean height in voids that no particle comes near.
-
-    Voids within reach make the altimeter's variance differ between particles, so that each needs its own covariance, which takes many
-    times as long; a void at the other end of the map should not cost that.
-
-    Args:
-        terrain: the map.
-        inertial: the inertial track, `(t,)`.
-        seconds: time of each fix, `(t,)`.
-        noises: standard deviations of process and altimeter.
-        prior: standard deviations at the first fix.
-    """
-    heights = np.asarray(terrain.heights)
-    if not np.isnan(heights).any():
-        return terrain
-    growth = (prior.horizontal_position, prior.horizontal_velocity * seconds, prior.horizontal_acceleration * seconds**2 / 2,
-              noises.position * np.sqrt(seconds))
-    reach = REACH * np.sqrt(sum(np.square(part) for part in growth))
-    near = np.zeros(heights.shape, bool)
-    for part in np.array_split(np.arange(seconds.size), min(SEGMENTS, seconds.size)):
-        sides = []
-        for along, spacing in ((inertial.north, terrain.dn), (inertial.east, terrain.de)):
-            cells = np.asarray(along)[part] / spacing
-            around = reach[part].max() / spacing
-            sides.append(slice(max(int(cells.min() - around), 0), max(int(cells.max() + around) + 2, 0)))
-        near[tuple(sides)] = True
-    return replace(terrain, heights=jnp.where(near, terrain.heights, jnp.nan_to_num(terrain.heights, nan=np.nanmean(heights))))
-
-
-def check_covered(terrain: TerrainMap, north: np.ndarray, east: np.ndarray, what: str) -> None:
-    """Refuse a map that a track leaves.
-
-    Raises:
-        MotesError: naming the extents of both, and the first row outside.
-    """
-    height, width = terrain.size
-    outside = ~((north >= 0) & (north <= height) & (east >= 0) & (east <= width))
-    if outside.any():
-        checks.refuse(
-            "map",
-            f"one that covers {what} (north {north.min():.0f} to {north.max():.0f} m, east {east.min():.0f} to {east.max():.0f} m "
-            "of the map's south-west post)",
-            f"north 0 to {height:.0f} m, east 0 to {width:.0f} m; row {int(np.argmax(outside)) + 1} lies outside",
-            "Check the order and unit of the columns, or join more map files.",
-        )
 
 
 def horizontal_errors(positions: tuple[Any, ...], flight: Flight) -> np.ndarray:
@@ -240,6 +239,6 @@ def score(history: History, flight: Flight) -> Score | None:
     """Judge a run by the truth; None where that is not known."""
     if flight.truth is None:
         return None
-    errors = horizontal_errors(corrected(flight.inputs, history.mean), flight)
+    errors = horizontal_errors(corrected(flight.inputs, history.mean, history.names), flight)
     final = float(errors[-1])
     return Score(final, float(np.median(errors[errors.size // 2:])), final > LOST)

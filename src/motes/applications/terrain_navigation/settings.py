@@ -10,8 +10,8 @@ class Noises:
 
     Attributes:
         position: random walk of each position error, m/sqrt(s).
-        velocity: random walk of each velocity error, m/s/sqrt(s).
-        acceleration: random walk of each acceleration error, m/s^2/sqrt(s).
+        velocity: random walk of each velocity error, m/s/sqrt(s); of nine states only.
+        acceleration: random walk of each acceleration error, m/s^2/sqrt(s); of nine states only.
         altimeter: error of one height above terrain, map errors included, m.
     """
 
@@ -30,8 +30,13 @@ class Prior:
         vertical_position: m.
         horizontal_velocity: m/s, north and east.
         vertical_velocity: m/s.
-        horizontal_acceleration: m/s^2, north and east; half a degree of tilt and 0.01 m/s^2 of bias unless said otherwise.
-        vertical_acceleration: m/s^2.
+        horizontal_acceleration: m/s^2, north and east; half a degree of tilt and 0.01 m/s^2 of bias unless said otherwise. Of nine
+            states only.
+        vertical_acceleration: m/s^2; of nine states only.
+        attitude: degrees about each axis; of 15 states only, as what follows.
+        accelerometer_bias: m/s^2.
+        gyro_bias: degrees per hour. Paper 003 prints 0.06 degrees per second, which is 216 here: then the gyros alone lead astray by
+            three kilometers in its two minutes, so that per hour was probably meant.
     """
 
     horizontal_position: float = 1000.0
@@ -40,9 +45,26 @@ class Prior:
     vertical_velocity: float = 1.0
     horizontal_acceleration: float = math.hypot(9.81 * math.radians(0.5), 0.01)
     vertical_acceleration: float = 0.01
+    attitude: float = 0.5
+    accelerometer_bias: float = 0.01
+    gyro_bias: float = 0.06
 
 
-NOISES, PRIOR = Noises(), Prior()
+@dataclass(frozen=True)
+class Inertial:
+    """How the errors of the inertial system are modeled.
+
+    Attributes:
+        states: 9 (position, velocity and acceleration errors), or 15 (attitude, velocity and position errors, biases of accelerometers and
+            gyros: paper 003 in full, for straight level flight).
+        grade: noise of the sensors, "navigation", "tactical" or "consumer"; of 15 states only.
+    """
+
+    states: int = 9
+    grade: str = "tactical"
+
+
+NOISES, PRIOR, INERTIAL = Noises(), Prior(), Inertial()
 
 
 @dataclass(frozen=True)
@@ -52,10 +74,13 @@ class MapFiles:
     Attributes:
         files: DTED, HGT, GeoTIFF or npz files; neighbors on one grid are joined.
         nodata: a height in the files that means "unknown", m.
+        outside: what to do with a flight that leaves the map: "refuse" it, or take fixes whose inertial position lies outside as "missing"
+            (what lies there is then a void).
     """
 
     files: tuple[str, ...] = field(default=(), metadata={"path": True})
     nodata: float | None = None
+    outside: str = "refuse"
 
 
 @dataclass(frozen=True)
