@@ -101,7 +101,7 @@ def regressed(sensor: AdditiveGaussian, states: Sequence[int], laws: Gaussian, u
     found = jnp.stack([jax.lax.optimization_barrier(sensor.means(laws.center + move, u, t)) for move in moves], axis=1)
     middle, (above, below) = found[:, 0], jnp.split(sensor.residual(found[:, 1:], found[:, :1]), 2, axis=1)
     even, odd = (above + below) / (2 * step), (above - below) / (2 * step)
-    bend = sum(even[:, j] for j in range(len(states))) / step
+    bend = sum((even[:, j] for j in range(len(states))), jnp.zeros_like(middle)) / step
     # weighted mean of squares less square of the mean; what the slope explains, the odd parts, has dropped out of the difference
     unexplained = linalg.product_transposed(even, even) - bend[:, None] * bend[None]
     slope = linalg.transpose(linalg.solve_upper(factor, linalg.transpose(odd)))

@@ -1,0 +1,124 @@
+"""Several filters on the same simulated flights: runs lost, errors beside the bound, honest covariances, time (paper 003, section V).
+
+Two rules tell lost runs. At the end: the final horizontal error exceeds `scenario.LOST` meters and six times the bound. The paper's: at
+`IN_A_ROW` fixes one after the other, once half the flight is over, the error lies outside the ellipse that holds 99 percent by the bound;
+even a filter as good as the bound breaks it now and then, since the bound knows of one mode only.
+"""
+
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from scipy.stats import chi2
+
+from motes.applications.terrain_navigation.model import Track, places_of
+from motes.applications.terrain_navigation.roughness import horizontal_bound
+from motes.applications.terrain_navigation.scenario import LOST, Flight
+from motes.core.record import replace
+from motes.filters.interface import Filter
+from motes.filters.run import run
+from motes.models.state_space import StateSpaceModel
+from motes.studies.tables import Table
+
+IN_A_ROW, WITHIN, BOUNDS = 5, 0.99, 6.0
+LITTLE = 1e-6
+"""m^2, added to covariances: a cloud of equal particles has none."""
+LAST = 100
+"""Fixes at the end over which errors are judged."""
+COLUMNS = ("filter", "lost", "paper's rule", "RMSE, m", "of bound", "NEES / 2", "in band, %", "ms/step")
+
+
+class Rival(NamedTuple):
+    """A filter, and the model that it believes in: that of the flight where none is given."""
+
+    filter: Filter
+    model: StateSpaceModel | None = None
+
+
+class Flown(NamedTuple):
+    """What a filter did on all flights.
+
+    Attributes:
+        errors: north and east, truth less estimate, `(run, t, 2)`, m.
+        nees: horizontal normalized estimation error squared by the filter's own covariance, `(run, t)`.
+        seconds: of a step, the least of all runs.
+    """
+
+    errors: np.ndarray
+    nees: np.ndarray
+    seconds: float
+
+
+def truth_of(flight: Flight) -> Track:
+    """Return the true track of a simulated flight, as its inputs would be without errors."""
+    assert flight.truth is not None and flight.errors is not None
+    down = places_of(flight.model.names)[2]
+    return Track(flight.truth[:, 0], flight.truth[:, 1], flight.inputs.altitude - flight.errors[:, down], flight.inputs.since)
+
+
+def fly_all(flights: Sequence[Flight], rival: Rival, seed: int = 0, name: str = "flights", progress: bool | None = None) -> Flown:
+    """Run a filter over simulated flights of one kind.
+
+    Args:
+        flights: with known errors.
+        rival: the filter.
+        seed: of the filter; each flight has a key of its own.
+        name: for the progress bar.
+        progress: whether to draw one on the error stream; where that is a terminal, if not given.
+    """
+    console = Console(stderr=True)
+    shown = console.is_terminal if progress is None else progress
+    filter = replace(rival.filter, on_collapse="inflate")
+    errors, nees, seconds = [], [], []
+    for k, flight in enumerate(track(flights, name, console=console, disable=not shown)):
+        model: Any = flight.model if rival.model is None else replace(flight.model, dynamics=rival.model.dynamics)
+        began = time.perf_counter()
+        history = jax.block_until_ready(run(seed + k, filter, model, flight.ys, flight.inputs))
+        seconds.append(time.perf_counter() - began)
+        across = np.array(places_of(flight.model.names)[:2])
+        error = np.asarray(flight.errors, np.float64)[:, across] - np.asarray(history.mean, np.float64)[:, across]
+        cov = np.asarray(history.cov, np.float64)[:, across[:, None], across] + LITTLE * np.eye(2)
+        errors.append(error)
+        nees.append(np.einsum("ti,ti->t", error, np.linalg.solve(cov, error[..., None])[..., 0]))
+    return Flown(np.array(errors), np.array(nees), min(seconds) / len(errors[0]))
+
+
+def compare(flights: Sequence[Flight], rivals: dict[str, Rival], seed: int = 0, progress: bool | None = None) -> Table:
+    """Fly all filters on the same flights over one true track and tell how they did, one row each.
+
+    RMSE, bound and NEES are over the last `LAST` fixes of the runs that were not lost at the end; "in band" is the share of these fixes
+    at which the NEES, averaged over the runs, lies within its 99 percent chi-square band.
+
+    Args:
+        flights: simulated, all over the same true track.
+        rivals: name to filter.
+        seed: of the filters.
+        progress: whether to draw progress bars.
+    """
+    least = horizontal_bound(flights[0].model, truth_of(flights[0]))
+    across = np.array(places_of(flights[0].model.names)[:2])
+    bound = np.asarray(least.cov, np.float64)[:, across[:, None], across]
+    return Table(COLUMNS, tuple(_row(name, fly_all(flights, rival, seed, name, progress), bound) for name, rival in rivals.items()))
+
+
+def _row(name: str, flown: Flown, bound: np.ndarray) -> tuple[str | int | float | None, ...]:
+    least = np.sqrt(np.trace(bound, axis1=1, axis2=2))
+    far = np.linalg.norm(flown.errors, axis=-1)
+    lost = far[:, -1] > max(LOST, BOUNDS * least[-1])
+    half = far.shape[1] // 2
+    outside = np.einsum("rti,tij,rtj->rt", flown.errors, np.linalg.inv(bound), flown.errors)[:, half:] > chi2.ppf(WITHIN, 2)
+    runs = np.lib.stride_tricks.sliding_window_view(outside, IN_A_ROW, axis=1).all(axis=-1) if outside.shape[1] >= IN_A_ROW else outside
+    told = (name, int(lost.sum()), int(runs.any(axis=1).sum()))
+    kept = ~lost
+    if not kept.any():
+        return *told, None, None, None, None, 1e3 * flown.seconds
+    rmse = np.sqrt(np.mean(far[kept, -LAST:] ** 2))
+    averages = flown.nees[kept, -LAST:].mean(axis=0)
+    low, high = chi2.ppf([0.005, 0.995], 2 * kept.sum()) / kept.sum()
+    in_band = 100 * np.mean((averages > low) & (averages < high))
+    of_bound = rmse / np.sqrt(np.mean(least[-LAST:] ** 2))
+    return *told, float(rmse), float(of_bound), float(averages.mean() / 2), float(in_band), 1e3 * flown.seconds
