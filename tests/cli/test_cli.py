@@ -63,6 +63,19 @@ def test_demo_writes_everything(demo):
     assert (demo.parent / "cache" / "motes" / "compiled").stat().st_mode & 0o777 == 0o700
 
 
+def test_study_compares_filters(tmp_path, capsys, monkeypatch):
+    from motes.applications.terrain_navigation import comparison
+    from motes.filters.particle import ParticleFilter
+
+    monkeypatch.setattr(comparison, "usual_rivals", lambda model, wide: {"few": comparison.Rival(ParticleFilter(n=50)),
+                                                                         "wide": comparison.Rival(ParticleFilter(n=50), wide)})
+    assert main(["demo", "terrain", "--study", "2", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "few" in said and "of bound" in said
+    assert (tmp_path / "out" / "study.csv").read_text().startswith("filter,lost,")
+    assert (tmp_path / "out" / "study.png").stat().st_size > 10_000
+
+
 def test_run_repeats_the_demo(folder, demo, capsys):
     assert main(["run", str(folder / "terrain.toml"), "--seed", "1"]) == 0
     printed = capsys.readouterr().out
@@ -182,6 +195,7 @@ def test_plan_hands_over_what_the_file_says(folder, monkeypatch, capsys):
     (["demo", "--m", "3"], ("--m",)),
     (["demo", "--filter", "best"], ("filter kind", "'best'")),
     (["demo", "--position-noise", "-1"], ("position", "-1")),
+    (["demo", "--study", "-1"], ("study", "-1")),
     (["demo", "--out", "/proc/none/out"], ("/proc/none/out", "folder")),
     (["run"], ("TOML", "nothing")),
     (["run", "none.toml"], ("none.toml",)),

@@ -54,7 +54,8 @@ def examples():
     found["ParticleFilter, SIS"] = mo.ParticleFilter(n=300, policy=mo.Never())
     found["MarginalizedParticleFilter, one state"] = mo.MarginalizedParticleFilter(n=300, linear=("b",))
     found["RegularizedParticleFilter, metropolis"] = mo.RegularizedParticleFilter(n=300, form="metropolis")
-    found["KalmanParticleKernelFilter, nonlinear"] = mo.KalmanParticleKernelFilter(n=300, nonlinear=("a", "b"), every=2)
+    # on a linear model no state is nonlinear unless declared
+    found["KalmanParticleKernelFilter"] = mo.KalmanParticleKernelFilter(n=300, nonlinear=("a", "b"), every=2)
     found["KalmanParticleKernelFilter, common kernel"] = mo.KalmanParticleKernelFilter(
         n=300, nonlinear=("b",), width=0.5, every=3, kernels=mo.CommonKernel(guard=0.01), slope="jacobian", policy=mo.Always()
     )

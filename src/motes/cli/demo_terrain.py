@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Literal
 
 from motes.applications.terrain_navigation.settings import ROUTES, Inertial, Noises
 from motes.cli.compiled import keep_programs
-from motes.cli.filters import KINDS, FilterChoice, build
-from motes.cli.options import check_seed, from_flags
+from motes.cli.filters import FilterChoice, build
+from motes.cli.options import check_seed, from_flags, refuse
 
 if TYPE_CHECKING:
     from motes.applications.terrain_navigation.scenario import Flight
 
+SHOWN = ("marginalized", "particle")
 COLUMNS = ("time", "ins_north", "ins_east", "ins_altitude", "height", "true_north", "true_east")
 
 
@@ -30,19 +31,21 @@ class Demo:
         n: number of particles of each filter.
         seed: of the flight and of the filters.
         out: folder for the results.
-        filter: filters to compare, marginalized or particle; the pictures show the first.
+        filter: filters to compare: marginalized, particle, kernel, regularized; the pictures show the first.
         route: which of two flights.
         position_noise: random walk of the inertial position error, m/sqrt(s).
         states: of the inertial errors, 9 or 15.
+        study: number of flights on which to compare the filters of paper 003, with numbers of particles of their own; 0 for one flight.
     """
 
     n: int = FilterChoice.n
     seed: int = 0
     out: str = "out"
-    filter: tuple[str, ...] = tuple(KINDS)
+    filter: tuple[str, ...] = SHOWN
     route: Literal["first", "second"] = "first"
     position_noise: float = Noises.position
     states: Literal[9, 15] = 9
+    study: int = 0
 
 
 def main(words: Sequence[str]) -> None:
@@ -57,12 +60,39 @@ def main(words: Sequence[str]) -> None:
     from motes.applications.terrain_navigation import scenario
     from motes.cli.terrain import fly
 
-    filters = {kind: build(FilterChoice(kind=kind, n=settings.n)) for kind in settings.filter or tuple(KINDS)}
+    if settings.study:
+        return study(settings)
+    filters = {kind: build(FilterChoice(kind=kind, n=settings.n)) for kind in settings.filter or SHOWN}
     flight = scenario.simulated(settings.seed, route=ROUTES[settings.route], noises=Noises(position=settings.position_noise),
                                 kind=Inertial(states=settings.states))
     folder = fly(flight, filters, settings.seed, settings, settings.out)
     write_flight(flight, settings, folder)
     print(f"Results are in {folder}. The same flight from its files: motes run {folder / 'terrain.toml'}")
+
+
+def study(settings: Demo) -> None:
+    """Compare the filters of paper 003 on many flights; writes `study.csv` and `study.png`."""
+    from motes.applications.terrain_navigation import comparison, scenario
+    from motes.cli import running
+    from motes.plotting.terrain import study_figure
+
+    if settings.study < 0:
+        refuse("study", "a number of flights of at least 0", settings.study)
+    running.check_folder(settings.out)
+
+    def flight(seed: int, position: float) -> "Flight":
+        kind = Inertial(states=settings.states)
+        return scenario.simulated(seed, route=ROUTES[settings.route], noises=Noises(position=position), kind=kind)
+
+    flights = [flight(settings.seed + k, settings.position_noise) for k in range(settings.study)]
+    wide = flight(settings.seed, max(2.0, 2 * settings.position_noise)).model
+    found = comparison.compare(flights, comparison.usual_rivals(flights[0].model, wide), settings.seed)
+    print(found.table)
+    folder = running.made_folder(settings.out)
+    found.table.save(folder / "study.csv")
+    errors = {name: flown.errors for name, flown in found.flown.items()}
+    running.write_figure(folder / "study.png", study_figure(flights[0].seconds, errors, found.bound, scenario.LOST))
+    print(f"Results are in {folder}.")
 
 
 def write_flight(flight: "Flight", settings: Demo, folder: Path) -> None:
@@ -84,7 +114,7 @@ def write_flight(flight: "Flight", settings: Demo, folder: Path) -> None:
         rows.writerow([f"{second:.3f}", *(f"{float(value):.3f}" for value in values)])
     write_text(folder / "flight.csv", table.getvalue())
     write_text(folder / "terrain.toml", _TOML.format(
-        map=map_file.name, seed=settings.seed, kind=(settings.filter or tuple(KINDS))[0], n=settings.n,
+        map=map_file.name, seed=settings.seed, kind=(settings.filter or SHOWN)[0], n=settings.n,
         position=settings.position_noise, states=settings.states))
 
 

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 KINDS = {
     "marginalized": ("motes.filters.marginalized", "MarginalizedParticleFilter"),
     "particle": ("motes.filters.particle", "ParticleFilter"),
+    "kernel": ("motes.filters.kernel", "KalmanParticleKernelFilter"),
+    "regularized": ("motes.filters.regularized", "RegularizedParticleFilter"),
 }
 """Word for a filter to its module and record; imported when asked for, since that brings JAX."""
 POLICIES = {"ess": "ESS", "entropy": "Entropy", "always": "Always", "never": "Never"}
@@ -24,17 +26,17 @@ class FilterChoice:
     """The filter.
 
     Attributes:
-        kind: "marginalized" or "particle".
+        kind: "marginalized", "particle", "kernel" or "regularized".
         n: number of particles.
         linear: states that a Kalman filter carries, by name; all that can be if none is named. Marginalized only.
-        policy: when to resample: "ess", "entropy", "always" or "never".
+        policy: when to resample: "ess", "entropy", "always" or "never"; the filter's own rule if not given.
         threshold: of the policies ess (share of n) and entropy (nats); the filter's own if not given.
     """
 
     kind: str = "marginalized"
     n: int = 15_000
     linear: tuple[str, ...] = ()
-    policy: str = "ess"
+    policy: str = ""
     threshold: float | None = None
 
 
@@ -45,7 +47,7 @@ def build(choice: FilterChoice) -> "Filter":
         MotesError: a word is unknown, or a number cannot be used.
     """
     for name, given, known in (("kind", choice.kind, KINDS), ("policy", choice.policy, POLICIES)):
-        if given not in known:
+        if given not in known and (name, given) != ("policy", ""):
             refuse(f"filter {name}", "one of " + ", ".join(map(repr, known)), repr(given))
     if choice.n > MOST:
         refuse("filter n", f"at most {MOST} particles", choice.n)
@@ -56,7 +58,8 @@ def build(choice: FilterChoice) -> "Filter":
         options["linear"] = choice.linear
     if choice.threshold is not None and choice.policy not in ("ess", "entropy"):
         refuse("filter threshold", f"none with the policy {choice.policy!r}", choice.threshold)
-    limits = () if choice.threshold is None else (choice.threshold,)
-    policy = getattr(importlib.import_module("motes.resampling.policy"), POLICIES[choice.policy])(*limits)
+    if choice.policy:
+        limits = () if choice.threshold is None else (choice.threshold,)
+        options["policy"] = getattr(importlib.import_module("motes.resampling.policy"), POLICIES[choice.policy])(*limits)
     module, record = KINDS[choice.kind]
-    return getattr(importlib.import_module(module), record)(n=choice.n, policy=policy, **options)
+    return getattr(importlib.import_module(module), record)(n=choice.n, **options)

@@ -125,3 +125,26 @@ def error_figure(seconds: np.ndarray, errors: Mapping[str, np.ndarray], deviatio
     axes.yaxis.set_major_formatter(need("matplotlib.ticker", "results").FuncFormatter(lambda value, _: f"{value:g}"))
     legend_below(figure, axes, 3)
     return figure
+
+
+def study_figure(seconds: np.ndarray, errors: Mapping[str, np.ndarray], bound: np.ndarray, lost: float, title: str = "") -> Any:
+    """Draw the median over runs of horizontal errors against time, and the bound.
+
+    Args:
+        seconds: time of each fix, `(t,)`.
+        errors: north and east errors `(run, t, 2)` in meters of each filter by name.
+        bound: least covariance of both, `(t, 2, 2)`, m^2.
+        lost: error above which a run counts as lost, m.
+        title: over the picture.
+    """
+    figure = new_figure(8.2, 4.6)
+    axes = figure.add_subplot()
+    tidy(axes)
+    for (name, error), color in zip(errors.items(), COLORS, strict=False):
+        axes.plot(seconds, np.median(np.linalg.norm(error, axis=-1), axis=0), color=color, label=name)
+    least = np.sqrt(np.trace(bound, axis1=1, axis2=2))
+    axes.plot(seconds, least, color="black", linewidth=1.0, linestyle=":", label="bound (root mean square)")
+    axes.axhline(lost, color="0.35", linewidth=1.0, linestyle="--", label=f"lost above {lost:.0f} m")
+    axes.set(yscale="log", xlabel="time, s", ylabel="median horizontal error, m", title=title)
+    legend_below(figure, axes, 3)
+    return figure

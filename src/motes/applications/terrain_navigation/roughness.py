@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
-from motes.bounds.bound import Bound
 from motes.bounds.kalman_at_truth import kalman_at_truth
 from motes.core import linalg
 from motes.core.record import replace
@@ -86,7 +85,9 @@ def roughness(model: StateSpaceModel, track: Track) -> Roughness:
     window = float(jnp.sqrt(model.initial.cov()[model.names.index("rN"), model.names.index("rN")]))
     looked_at = np.unique(np.linspace(0, track.north.shape[0] - 1, MOST).astype(int))
     around = np.array([_spreads(terrain, float(track.north[k]), float(track.east[k]), window) for k in looked_at])
-    bound = horizontal_bound(model, track)
+    smooth = replace(altimeter.f, terrain=replace(terrain, interpolation="cubic"))
+    known = jnp.zeros((track.north.shape[0], model.size), model.dtype)
+    bound = kalman_at_truth(replace(model, sensor=replace(altimeter, f=smooth)), known, track)
     heights, slopes = np.median(around, axis=0)
     return Roughness(
         window, float(heights), float(slopes), flat=float(np.mean(around[:, 0] < noise)),
@@ -94,19 +95,6 @@ def roughness(model: StateSpaceModel, track: Track) -> Roughness:
         bound=np.asarray(bound.rmse(("rN", "rE")), np.float64),
         unaided=np.linalg.norm(unaided(model, track), axis=1),
     )
-
-
-def horizontal_bound(model: StateSpaceModel, track: Track) -> Bound:
-    """Return the covariances that are the least an aircraft on a track can know its errors by; slopes are those of cubic heights.
-
-    Args:
-        model: of the errors, by `error_model`.
-        track: where the aircraft is, `(t,)`.
-    """
-    altimeter: Any = model.sensor
-    smooth = replace(altimeter.f, terrain=replace(altimeter.f.terrain, interpolation="cubic"))
-    known = jnp.zeros((track.north.shape[0], model.size), model.dtype)
-    return kalman_at_truth(replace(model, sensor=replace(altimeter, f=smooth)), known, track)
 
 
 @jax.jit
