@@ -71,8 +71,7 @@ def write(name: str, found: Comparison, seconds: np.ndarray, folder: Path) -> No
     print(f"\n{name}\n{found.table}", flush=True)
     stem = "_".join(name.replace(",", "").split())
     found.table.save(folder / f"{stem}.csv")
-    errors = {one: flown.errors for one, flown in found.flown.items()}
-    study_figure(seconds, errors, found.bound, scenario.LOST, name).savefig(folder / f"{stem}.png")
+    study_figure(seconds, found.curves, name).savefig(folder / f"{stem}.png")
 
 
 def over_jacksboro(states: int, positions: tuple[float, ...], runs: int, folder: Path) -> None:

@@ -13,7 +13,7 @@ from motes.applications.terrain_navigation.settings import Noises, Route
 def row(errors, nees, bound=25.0):
     """Judge made-up runs `(run, t, 2)` with a bound of 5 m along each axis."""
     bounds = np.broadcast_to(bound * np.eye(2), (errors.shape[1], 2, 2))
-    return dict(zip(comparison.COLUMNS, comparison.judged("x", comparison.Flown(errors, nees, 1e-3), bounds), strict=True))
+    return dict(zip(comparison.COLUMNS, comparison.judged("x", comparison.Flown(errors, errors / 10, nees, 1e-3), bounds), strict=True))
 
 
 def test_figures_of_made_up_runs():
@@ -60,4 +60,9 @@ def test_rivals_on_real_relief(flights):
                                progress=False)
     assert found.table.column("lost") == [0, 3]
     assert 0.3 < found.table.column("of bound")[0] < 2 and found.bound.shape == (130, 2, 2)
-    assert found.flown["kernel"].errors.shape == (3, 130, 2)
+    assert set(found.curves) == {"kernel", "bound"}
+    kept, least = found.curves["kernel"], found.curves["bound"]
+    flown = found.flown["kernel"]
+    assert kept[9, 1] == pytest.approx(np.sqrt(np.mean(np.sum(flown.velocity_errors[:, 9] ** 2, axis=-1))))
+    assert least[9] == pytest.approx(np.sqrt([np.trace(found.bound[9]), np.trace(found.velocity_bound[9])]))
+    assert np.all(least[-1] < [100, 5]) and np.all(least[0] > [1000, 7])

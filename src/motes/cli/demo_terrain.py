@@ -90,8 +90,7 @@ def study(settings: Demo) -> None:
     print(found.table)
     folder = running.made_folder(settings.out)
     found.table.save(folder / "study.csv")
-    errors = {name: flown.errors for name, flown in found.flown.items()}
-    running.write_figure(folder / "study.png", study_figure(flights[0].seconds, errors, found.bound, scenario.LOST))
+    running.write_figure(folder / "study.png", study_figure(flights[0].seconds, found.curves))
     print(f"Results are in {folder}.")
 
 

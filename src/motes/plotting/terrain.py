@@ -127,24 +127,23 @@ def error_figure(seconds: np.ndarray, errors: Mapping[str, np.ndarray], deviatio
     return figure
 
 
-def study_figure(seconds: np.ndarray, errors: Mapping[str, np.ndarray], bound: np.ndarray, lost: float, title: str = "") -> Any:
-    """Draw the median over runs of horizontal errors against time, and the bound.
+def study_figure(seconds: np.ndarray, curves: Mapping[str, np.ndarray], title: str = "") -> Any:
+    """Draw root mean square errors of position and velocity against time, one over the other (figures 2 and 3 of paper 003).
 
     Args:
         seconds: time of each fix, `(t,)`.
-        errors: north and east errors `(run, t, 2)` in meters of each filter by name.
-        bound: least covariance of both, `(t, 2, 2)`, m^2.
-        lost: error above which a run counts as lost, m.
+        curves: name to errors in m and m/s, `(t, 2)`; what is named "bound" is drawn dotted.
         title: over the picture.
     """
-    figure = new_figure(8.2, 4.6)
-    axes = figure.add_subplot()
-    tidy(axes)
-    for (name, error), color in zip(errors.items(), COLORS, strict=False):
-        axes.plot(seconds, np.median(np.linalg.norm(error, axis=-1), axis=0), color=color, label=name)
-    least = np.sqrt(np.trace(bound, axis1=1, axis2=2))
-    axes.plot(seconds, least, color="black", linewidth=1.0, linestyle=":", label="bound (root mean square)")
-    axes.axhline(lost, color="0.35", linewidth=1.0, linestyle="--", label=f"lost above {lost:.0f} m")
-    axes.set(yscale="log", xlabel="time, s", ylabel="median horizontal error, m", title=title)
+    figure = new_figure(8.2, 7.0)
+    colors = iter(COLORS)
+    looks = {name: {"color": "black", "linestyle": ":"} if name == "bound" else {"color": next(colors)} for name in curves}
+    for place, label in enumerate(("horizontal position, m", "horizontal velocity, m/s")):
+        axes = figure.add_subplot(2, 1, place + 1)
+        tidy(axes)
+        for name, curve in curves.items():
+            axes.plot(seconds, curve[:, place], label=name, **looks[name])
+        axes.set(yscale="log", ylabel=f"RMSE, {label}", title="" if place else title)
+    axes.set(xlabel="time, s")
     legend_below(figure, axes, 3)
     return figure

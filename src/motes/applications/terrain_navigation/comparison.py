@@ -50,14 +50,20 @@ class Flown(NamedTuple):
     """What a filter did on all flights.
 
     Attributes:
-        errors: north and east, truth less estimate, `(run, t, 2)`, m.
+        errors: position north and east, truth less estimate, `(run, t, 2)`, m.
+        velocity_errors: likewise, `(run, t, 2)`, m/s.
         nees: horizontal normalized estimation error squared by the filter's own covariance, `(run, t)`.
         seconds: of a step, the least of all runs.
     """
 
     errors: np.ndarray
+    velocity_errors: np.ndarray
     nees: np.ndarray
     seconds: float
+
+    def lost(self, bound: np.ndarray) -> np.ndarray:
+        """Tell which runs are lost at the end, `(run,)`, by the least horizontal covariance `(t, 2, 2)`."""
+        return np.linalg.norm(self.errors[:, -1], axis=-1) > max(LOST, BOUNDS * np.sqrt(np.trace(bound[-1])))
 
 
 class Comparison(NamedTuple):
@@ -67,11 +73,25 @@ class Comparison(NamedTuple):
         table: one row per filter.
         flown: name to what the filter did.
         bound: least horizontal error covariance along the true track, `(t, 2, 2)`, m^2.
+        velocity_bound: the same of the velocity, `(t, 2, 2)`, m^2/s^2.
     """
 
     table: Table
     flown: dict[str, Flown]
     bound: np.ndarray
+    velocity_bound: np.ndarray
+
+    @property
+    def curves(self) -> dict[str, np.ndarray]:
+        """Root mean square errors of position (m) and velocity (m/s) over the runs that each filter kept, `(t, 2)`, and the bound."""
+        found = {}
+        for name, one in self.flown.items():
+            kept = ~one.lost(self.bound)
+            if kept.any():
+                both = [np.mean(np.sum(part[kept] ** 2, axis=-1), axis=0) for part in (one.errors, one.velocity_errors)]
+                found[name] = np.sqrt(np.stack(both, axis=1))
+        least = [np.trace(part, axis1=1, axis2=2) for part in (self.bound, self.velocity_bound)]
+        return found | {"bound": np.sqrt(np.stack(least, axis=1))}
 
 
 def usual_rivals(model: StateSpaceModel, wide: StateSpaceModel) -> dict[str, Rival]:
@@ -111,18 +131,20 @@ def fly_all(flights: Sequence[Flight], rival: Rival, seed: int = 0, name: str = 
     console = Console(stderr=True)
     shown = console.is_terminal if progress is None else progress
     filter = replace(rival.filter, on_collapse="inflate")
+    names = flights[0].model.names
+    across, moving = np.array(places_of(names)[:2]), np.array([names.index("vN"), names.index("vE")])
     errors, nees, seconds = [], [], []
     for k, flight in enumerate(track(flights, name, console=console, disable=not shown)):
         model: Any = flight.model if rival.model is None else replace(flight.model, dynamics=rival.model.dynamics)
         began = time.perf_counter()
         history = jax.block_until_ready(run(seed + k, filter, model, flight.ys, flight.inputs))
         seconds.append(time.perf_counter() - began)
-        across = np.array(places_of(flight.model.names)[:2])
-        error = np.asarray(flight.errors, np.float64)[:, across] - np.asarray(history.mean, np.float64)[:, across]
+        error = np.asarray(flight.errors, np.float64) - np.asarray(history.mean, np.float64)
         cov = np.asarray(history.cov, np.float64)[:, across[:, None], across] + LITTLE * np.eye(2)
         errors.append(error)
-        nees.append(np.einsum("ti,ti->t", error, np.linalg.solve(cov, error[..., None])[..., 0]))
-    return Flown(np.array(errors), np.array(nees), min(seconds) / len(errors[0]))
+        nees.append(np.einsum("ti,ti->t", error[:, across], np.linalg.solve(cov, error[:, across, None])[..., 0]))
+    whole = np.array(errors)
+    return Flown(whole[..., across], whole[..., moving], np.array(nees), min(seconds) / whole.shape[1])
 
 
 def compare(flights: Sequence[Flight], rivals: dict[str, Rival], seed: int = 0, progress: bool | None = None) -> Comparison:
@@ -139,10 +161,11 @@ def compare(flights: Sequence[Flight], rivals: dict[str, Rival], seed: int = 0, 
     """
     truth = truth_of(flights[0])
     least = kalman_at_truth(flights[0].model, jnp.zeros((truth.north.shape[0], flights[0].model.size)), truth)
-    across = np.array(places_of(flights[0].model.names)[:2])
-    bound = np.asarray(least.cov, np.float64)[:, across[:, None], across]
+    names = flights[0].model.names
+    bound, velocity_bound = (np.asarray(least.cov, np.float64)[:, np.array(states)[:, None], np.array(states)]
+                             for states in (places_of(names)[:2], (names.index("vN"), names.index("vE"))))
     flown = {name: fly_all(flights, rival, seed, name, progress) for name, rival in rivals.items()}
-    return Comparison(Table(COLUMNS, tuple(judged(name, one, bound) for name, one in flown.items())), flown, bound)
+    return Comparison(Table(COLUMNS, tuple(judged(name, one, bound) for name, one in flown.items())), flown, bound, velocity_bound)
 
 
 def judged(name: str, flown: Flown, bound: np.ndarray) -> tuple[str | int | float | None, ...]:
@@ -155,7 +178,7 @@ def judged(name: str, flown: Flown, bound: np.ndarray) -> tuple[str | int | floa
     """
     least = np.sqrt(np.trace(bound, axis1=1, axis2=2))
     far = np.linalg.norm(flown.errors, axis=-1)
-    lost = far[:, -1] > max(LOST, BOUNDS * least[-1])
+    lost = flown.lost(bound)
     half = far.shape[1] // 2
     outside = np.einsum("rti,tij,rtj->rt", flown.errors, np.linalg.inv(bound), flown.errors)[:, half:] > chi2.ppf(WITHIN, 2)
     strayed = sum(any(sum(1 for _ in same) >= IN_A_ROW for out, same in groupby(run) if out) for run in outside)
