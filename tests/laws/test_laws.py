@@ -154,7 +154,9 @@ def test_components_in_turn_equal_all_at_once(noise, double):
     H = rng.normal(size=(3, 4)) if noise == "correlated" else rng.normal(size=(3, 4, 6))
     innovation, seen = jnp.asarray(rng.normal(size=(3, 6))), rng.random((3, 6)) < 0.6
     for mask in (None, jnp.array([True, False, True]), jnp.asarray(seen)):
-        one, other = (method(innovation, jnp.asarray(H), jnp.asarray(R), mask) for method in (law.corrected, law.corrected_in_turn))
+        one = law.corrected(innovation, jnp.asarray(H), jnp.asarray(R), mask)
+        parts = [((2,), jnp.asarray(H[:, [2]])), ((3, 0, 1), jnp.asarray(H[:, [3, 0, 1]]))]
+        other = law.corrected_in_turn(innovation, parts, jnp.asarray(R), mask)
         for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
             assert np.allclose(a, b, rtol=1e-9, atol=1e-9)
 
@@ -163,6 +165,6 @@ def test_a_sharp_measurement_leaves_a_variance_in_float32():
     law = mo.Gaussian(jnp.zeros((2, 1), jnp.float32), jnp.asarray([[[400.0], [60.0]], [[60.0], [10.0]]], jnp.float32))
     H = jnp.asarray([[1.0, 0.3]], jnp.float32)
     for _ in range(20):
-        law = law.corrected_in_turn(jnp.ones((1, 1), jnp.float32), H, jnp.full((1, 1), 1e-9, jnp.float32)).law
+        law = law.corrected_in_turn(jnp.ones((1, 1), jnp.float32), [((0, 1), H)], jnp.full((1, 1), 1e-9, jnp.float32)).law
         assert np.linalg.eigvalsh(np.asarray(law.covariance[..., 0], np.float64)).min() > -1e-4
         assert np.isfinite(np.asarray(law.center)).all() and np.abs(np.asarray(law.center)).max() < 1e3

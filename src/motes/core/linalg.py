@@ -51,14 +51,14 @@ def times_vector(a: jax.Array, v: jax.Array) -> jax.Array:
     return _total([a[:, j] * v[j] for j in range(a.shape[1])], start)
 
 
-def dot(a: jax.Array, b: jax.Array) -> jax.Array:
-    """Inner product a' b of vectors `(i, n)` or `(i,)`; written out, since compilers hand small sums over to libraries, which is slower."""
-    return _total([a[i] * b[i] for i in range(a.shape[0])], jnp.zeros(a.shape[1:], a.dtype))
+def total(terms: list[jax.Array]) -> jax.Array:
+    """Sum of terms, at least one; written out, since compilers hand small sums over to libraries, which is slower."""
+    return sum(terms[1:], terms[0])
 
 
 def _total(terms: list[jax.Array], start: jax.Array) -> jax.Array:
     """Sum of terms; `start` stands for an empty sum (a part without states)."""
-    return sum(terms[1:], terms[0]) if terms else start
+    return total(terms) if terms else start
 
 
 def transpose(a: jax.Array) -> jax.Array:

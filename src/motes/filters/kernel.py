@@ -7,6 +7,7 @@
    centers are drawn, covariances shrink, mean and covariance of the mixture stay (`SplitKernels`, or the paper's `CommonKernel`).
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -20,7 +21,7 @@ from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
 from motes.models import linearize
-from motes.models.mixed_linear import MixedLinearModel, user_order
+from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
 from motes.models.structure import largest, trace, varying
 from motes.resampling.policy import Entropy, Never, Policy
@@ -139,7 +140,8 @@ class KalmanParticleKernelFilter(TwoStageFilter):
     def predict(self, key: jax.Array, model: LocalModel, state: Mixture, u: Any, t: Any) -> Mixture:
         """Move the kernels; every few steps select and split them."""
         keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
-        shared = linearize.affine(model.dynamics, state.parts.center[:, 0], u, t)[1:] if model.steady else None
+        example = state.parts.center[:, 0]
+        shared = _once(t, lambda: linearize.affine(model.dynamics, example, u, t)[1:]) if model.steady else None
 
         def move(noise_key: jax.Array, law: Mixture) -> Mixture:
             return replace(law, parts=linearize.moved_each(model.dynamics, law.parts, u, t, shared))
@@ -151,9 +153,9 @@ class KalmanParticleKernelFilter(TwoStageFilter):
 
     def correct(self, key: jax.Array, model: LocalModel, state: Mixture, y: jax.Array, u: Any, t: Any) -> tuple[Mixture, Info]:
         """Correct each kernel by y, and weigh it by its predictive density of y."""
-        sensor, size = model.sensor, state.parts.center.shape[0]
+        sensor = model.sensor
         example = state.parts.center[:, 0]
-        shared = linearize.slope_in(sensor, model.linear, example, u, t) if model.plane else None
+        shared = _once(t, lambda: linearize.slope_in(sensor, model.linear, example, u, t)) if model.plane else None
 
         def slopes(states: tuple[int, ...], X: jax.Array) -> jax.Array:
             return jax.vmap(lambda x: linearize.slope_in(sensor, states, x, u, t), in_axes=-1, out_axes=-1)(X)
@@ -165,9 +167,15 @@ class KalmanParticleKernelFilter(TwoStageFilter):
                 R = linalg.add(unexplained, R)
             else:
                 prediction, curved = sensor.means(X, u, t), slopes(model.nonlinear, X)
-            straight = slopes(model.linear, X) if shared is None else jnp.broadcast_to(shared[..., None], (*shared.shape, X.shape[-1]))
-            H = linalg.take(jnp.concatenate([curved, straight], axis=1), user_order(model.linear, size), axis=1)
-            done = law.parts.corrected_in_turn(sensor.residual(y, prediction), H, R, ~jnp.isnan(y))
+            straight = slopes(model.linear, X) if shared is None else shared
+            slopes_in = ((model.nonlinear, curved), (model.linear, straight))
+            done = law.parts.corrected_in_turn(sensor.residual(y, prediction), slopes_in, R, ~jnp.isnan(y))
             return replace(law, parts=done.law), done.log_evidence, done.peak
 
         return reweigh(state, judge)
+
+
+def _once(t: Any, work: Callable[[], Any]) -> Any:
+    """Work out what all kernels share in a branch of its own: compilers would fuse it into loops and do it again for every kernel."""
+    nothing = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(work))
+    return jax.lax.cond(t >= 0, work, lambda: nothing)

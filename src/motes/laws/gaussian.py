@@ -1,5 +1,6 @@
 """The Gaussian law: affine maps of it and conditioning on measurements; Kalman filters are written with these two alone."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -118,7 +119,9 @@ class Gaussian(Law):
         joseph = linalg.add(linalg.sandwich(kept, P), linalg.sandwich(gain, R))
         return Correction(Gaussian(center, joseph), log_evidence, peak)
 
-    def corrected_in_turn(self, innovation: jax.Array, H: jax.Array, R: jax.Array, seen: jax.Array | None = None) -> "Correction":
+    def corrected_in_turn(
+        self, innovation: jax.Array, slopes: Sequence[tuple[Sequence[int], jax.Array]], R: jax.Array, seen: jax.Array | None = None
+    ) -> "Correction":
         """Condition as `corrected` does, but one component after the other by rank-one updates: cheaper where each law has its own P.
 
         The triangular factor of R makes the components independent first. P - c c' / s is no Joseph form; instead the variance along a
@@ -126,7 +129,8 @@ class Gaussian(Law):
 
         Args:
             innovation: `(y, *n)`.
-            H: `(y, x, *n)`.
+            slopes: the columns of H in parts: indices of k states, and `(y, k, *n)`. They are not joined, since compilers would then pick
+                them apart again for every entry of P.
             R: `(y, y, *n)`.
             seen: which components were measured, `(y,)` or `(y, n)`; None for all.
         """
@@ -134,16 +138,17 @@ class Gaussian(Law):
         if seen is not None:
             innovation, R = _zeroed(innovation, seen), _among(R, seen)
         factor, noise = linalg.unit_factor(R)
-        innovation, H = (linalg.solve_lower(*_same_batch(factor, rows, axes)) for rows, axes in ((innovation, 1), (H, 2)))
-        if H.ndim < self.center.ndim + 1:
-            H = H[..., None]
+        innovation = linalg.solve_lower(*_same_batch(factor, innovation, 1))
+        parts = [linalg.solve_lower(*_same_batch(factor, part)) for _, part in slopes]
+        places = [(state, part, j) for (states, _), part in zip(slopes, parts, strict=True) for j, state in enumerate(states)]
         center, P = self.center, self.covariance
         peak, distance = -0.5 * _LOG_2PI * jnp.asarray(components, P.dtype), jnp.zeros((), P.dtype)
-        for i in range(H.shape[0]):
-            cross = linalg.times_vector(P, H[i])
-            before = jnp.maximum(linalg.dot(H[i], cross), 0)
+        for i in range(innovation.shape[0]):
+            row = [(state, part[i, j]) for state, part, j in places]
+            cross = linalg.total([P[:, state] * slope for state, slope in row])
+            before = jnp.maximum(linalg.total([slope * cross[state] for state, slope in row]), 0)
             total = before + noise[i]
-            surprise = innovation[i] - linalg.dot(H[i], center - self.center)
+            surprise = innovation[i] - linalg.total([slope * (center - self.center)[state] for state, slope in row])
             # components that were not seen are left out here: masked rows of H would be masked again for every entry of P
             used = True if seen is None else seen[i]
             inverse = jnp.where(used, _inverse(total), 0)
