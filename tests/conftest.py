@@ -20,11 +20,11 @@ def _forget_programs():
 
 
 def pytest_collection_modifyitems(config, items):
-    """On the native engine, leave out what it hands to JAX anyway: float64, and filters without particles."""
+    """On the native engine, leave out what it hands to JAX anyway: float64, filters without particles, whole covariances of kernels."""
     if os.environ.get("MOTES_ENGINE") != "native":
         return
     same = [item for item in items if "double" in getattr(item, "fixturenames", ()) or
-            any(word in item.name for word in ("float64", "KalmanFilter", "PointMassFilter"))]
+            any(word in item.name for word in ("float64", "KalmanFilter", "PointMassFilter", "common kernel"))]
     config.hook.pytest_deselected(items=same)
     items[:] = [item for item in items if item not in set(same)]
 
