@@ -19,7 +19,7 @@ from data import refused
 from motes.core.checks import FileError
 from motes.studies.store import LEDGER, Store
 
-RUNS = 24
+RUNS = 80
 CHILD = """
 import sys
 import motes as mo
