@@ -4,6 +4,7 @@ Prints each plan and at last, for each model: budget, predicted and measured tim
 """
 
 import sys
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -49,25 +50,37 @@ def terrain():
     return flight.model, jax.tree.map(lambda leaf: leaf[:100], flight.inputs)
 
 
-CASES = {
-    "radar": lambda: (radar_tracking(), None), "radar, particles": lambda: (radar_tracking(), None), "terrain": terrain,
-    "growth": lambda: (growth(), None), "mixed": lambda: (mixed(), None), "seven of nine": lambda: (seven_of_nine(), None),
-}  # fmt: skip
+class Case(NamedTuple):
+    """A model to plan for, and how."""
+
+    model: Any
+    inputs: Any = None
+    budget: float = BUDGET
+    states: tuple[str, ...] = ()
+    filters: dict[str, Any] | None = None
+
+
 # the extended Kalman filter, which wins on the radar model, has no number of particles that could keep a budget
-FILTERS = {"radar, particles": {"plain": mo.ParticleFilter(n=1), "all": mo.MarginalizedParticleFilter(n=1),
-                                "velocity": mo.MarginalizedParticleFilter(n=1, linear=("vx", "vy"))}}  # fmt: skip
-STATES = {"radar, particles": ("px", "py"), "radar": ("px", "py"), "terrain": ("rN", "rE")}
+PARTICLES = {"plain": mo.ParticleFilter(n=1), "all": mo.MarginalizedParticleFilter(n=1),
+             "velocity": mo.MarginalizedParticleFilter(n=1, linear=("vx", "vy"))}  # fmt: skip
+CASES = {
+    "radar": lambda: Case(radar_tracking(), states=("px", "py")),
+    "radar, particles": lambda: Case(radar_tracking(), states=("px", "py"), filters=PARTICLES),
+    "terrain": lambda: Case(*terrain(), budget=5 * BUDGET, states=("rN", "rE")),
+    "growth": lambda: Case(growth()),
+    "mixed": lambda: Case(mixed()),
+    "seven of nine": lambda: Case(seven_of_nine()),
+}
 
 if __name__ == "__main__":
     summary = []
     for name in sys.argv[1:] or CASES:
-        model, inputs = CASES[name]()
-        found = mo.plan(model, 5 * BUDGET if name == "terrain" else BUDGET, states=STATES.get(name, ()), verify=True,
-                        pilot=mo.Pilot(runs=32, inputs=inputs, filters=FILTERS.get(name)))
+        case = CASES[name]()
+        pilot = mo.Pilot(runs=32, inputs=case.inputs, filters=case.filters)
+        found = mo.plan(case.model, case.budget, states=case.states, verify=True, pilot=pilot)
         print(f"\n{name}\n{found}", flush=True)
-        budget = 5 * BUDGET if name == "terrain" else BUDGET
-        others = found.table.column("RMSE")
-        summary.append((name, budget, found.seconds, found.measured, found.measured / budget, min(others[1:], default=np.nan) / others[0]))
-    print("\nmodel          budget, ms  predicted  measured  measured / budget  best other RMSE / choice")
-    for name, budget, seconds, measured, share, other in summary:
-        print(f"{name:<15}{1e3 * budget:8.3f}{1e3 * seconds:11.3f}{1e3 * measured:10.3f}{share:16.2f}{other:20.3f}")
+        errors = found.table.column("RMSE")
+        summary.append((name, case.budget, found.seconds, found.measured, min(errors[1:], default=np.nan) / errors[0]))
+    print("\nmodel             budget, ms  predicted  measured  measured / budget  best other RMSE / choice")
+    for name, budget, seconds, measured, other in summary:
+        print(f"{name:<18}{1e3 * budget:8.3f}{1e3 * seconds:11.3f}{1e3 * measured:10.3f}{measured / budget:16.2f}{other:20.3f}")

@@ -22,7 +22,7 @@ from motes.applications.terrain_navigation.settings import FIRST, Inertial, Nois
 from motes.io.archive import provenance
 from motes.io.rasters import mosaic, read_raster
 from motes.models.terrain import TerrainMap, terrain_map
-from motes.plotting.terrain import study_figure
+from motes.plotting.terrain import comparison_figure
 
 PARTS = ("nine", "fifteen", "equal", "maps", "flat")
 SEED = 1000
@@ -71,7 +71,7 @@ def write(name: str, found: Comparison, seconds: np.ndarray, folder: Path) -> No
     print(f"\n{name}\n{found.table}", flush=True)
     stem = "_".join(name.replace(",", "").split())
     found.table.save(folder / f"{stem}.csv")
-    study_figure(seconds, found.curves, name).savefig(folder / f"{stem}.png")
+    comparison_figure(seconds, found.curves, name).savefig(folder / f"{stem}.png")
 
 
 def over_jacksboro(states: int, positions: tuple[float, ...], runs: int, folder: Path) -> None:
@@ -89,9 +89,9 @@ def at_equal_time(runs: int, folder: Path) -> None:
     usual = rivals(flights, None, FIRST)
     kernel = usual["kernel, 2500"].filter
     budget = mo.seconds_per_step(kernel, first.model, first.ys, first.inputs)
-    line = mo.fit_step_time(mo.MarginalizedParticleFilter(n=1), first.model, first.ys, first.inputs, (4_000, 10_000, 20_000))
-    n = 2 * round(line.particles(budget) / 2)
-    found = compare(flights, {"kernel, 2500": Rival(kernel), f"marginalized, {n}": Rival(mo.MarginalizedParticleFilter(n=n))})
+    pilot = mo.Pilot(runs=8, inputs=first.inputs, filters={"marginalized": mo.MarginalizedParticleFilter(n=1)})
+    marginalized = mo.plan(first.model, budget, states=("rN", "rE"), pilot=pilot).choice
+    found = compare(flights, {"kernel, 2500": Rival(kernel), f"marginalized, {marginalized.n}": Rival(marginalized)})
     write("equal time, position noise 2", found, first.seconds, folder)
 
 

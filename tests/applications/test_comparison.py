@@ -55,7 +55,7 @@ def test_rivals_on_real_relief(flights):
     """The kernel filter keeps its way with few kernels, within twice the bound; a filter told nothing loses every run."""
     kernel = comparison.usual_rivals(flights[0].model, flights[0].model)["kernel, 2500"].filter
     few = mo.KalmanParticleKernelFilter(n=800, nonlinear=kernel.nonlinear, kernels=kernel.kernels)
-    deaf = mo.StateSpaceModel(flights[0].model.initial, mo.LinearGaussian(np.eye(9), np.zeros((9, 9))), flights[0].model.sensor)
+    deaf = mo.LinearGaussian(np.eye(9), np.zeros((9, 9)))
     found = comparison.compare(flights, {"kernel": comparison.Rival(few), "still": comparison.Rival(mo.ParticleFilter(n=2), deaf)},
                                progress=False)
     assert found.table.column("lost") == [0, 3]

@@ -68,7 +68,7 @@ def test_study_compares_filters(tmp_path, capsys, monkeypatch):
     from motes.filters.particle import ParticleFilter
 
     monkeypatch.setattr(comparison, "usual_rivals", lambda model, wide: {"few": comparison.Rival(ParticleFilter(n=50)),
-                                                                         "wide": comparison.Rival(ParticleFilter(n=50), wide)})
+                                                                         "wide": comparison.Rival(ParticleFilter(n=50), wide.dynamics)})
     assert main(["demo", "terrain", "--study", "2", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "few" in said and "of bound" in said

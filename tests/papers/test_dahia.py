@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 import motes as mo
+from data import recorded
 from motes.applications.terrain_navigation.comparison import Rival
 
-ROOT = Path(__file__).parents[2]
-FOLDER = ROOT / "papers" / "dahia2004"
-DATA = ROOT.parent / "shared" / "data" / "terrain"
+FOLDER = Path(__file__).parents[2] / "papers" / "dahia2004"
 
 
 @pytest.fixture
@@ -42,9 +41,9 @@ def test_tables_and_pictures_are_written(program, monkeypatch, tmp_path, capsys)
         assert (tmp_path / f"{stem}.csv").read_text().count("\n") == 4 and (tmp_path / f"{stem}.png").stat().st_size > 10_000
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="needs the elevation files of ../shared/data")
 def test_other_maps(program, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(sys, "argv", ["reproduce.py", "maps", "flat", "--runs", "1", "--data", str(DATA), "--out", str(tmp_path)])
+    data = recorded("terrain/hgt/N44E005.hgt").parents[1]
+    monkeypatch.setattr(sys, "argv", ["reproduce.py", "maps", "flat", "--runs", "1", "--data", str(data), "--out", str(tmp_path)])
     program.main()
     said = capsys.readouterr().out
     assert said.count("Terrain: ") == 2 and "Mont Ventoux" in said and "valley" in said

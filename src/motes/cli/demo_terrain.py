@@ -74,7 +74,7 @@ def study(settings: Demo) -> None:
     """Compare the filters of paper 003 on many flights; writes `study.csv` and `study.png`."""
     from motes.applications.terrain_navigation import comparison, scenario
     from motes.cli import running
-    from motes.plotting.terrain import study_figure
+    from motes.plotting.terrain import comparison_figure
 
     if settings.study < 0:
         refuse("study", "a number of flights of at least 0", settings.study)
@@ -90,7 +90,7 @@ def study(settings: Demo) -> None:
     print(found.table)
     folder = running.made_folder(settings.out)
     found.table.save(folder / "study.csv")
-    running.write_figure(folder / "study.png", study_figure(flights[0].seconds, found.curves))
+    running.write_figure(folder / "study.png", comparison_figure(flights[0].seconds, found.curves))
     print(f"Results are in {folder}.")
 
 
@@ -155,7 +155,7 @@ accelerometer_bias = 0.01   # m/s^2
 gyro_bias = 0.06        # degrees per hour
 
 [filter]
-kind = "{kind}"   # or "particle"
+kind = "{kind}"   # marginalized, particle, kernel or regularized
 n = {n}
-policy = "ess"          # when to resample: ess, entropy, always, never
+policy = "ess"          # when to resample: ess, entropy, always, never; without this line the filter's own rule
 """

@@ -30,13 +30,13 @@ class FilterChoice:
         n: number of particles.
         linear: states that a Kalman filter carries, by name; all that can be if none is named. Marginalized only.
         policy: when to resample: "ess", "entropy", "always" or "never"; the filter's own rule if not given.
-        threshold: of the policies ess (share of n) and entropy (nats); the filter's own if not given.
+        threshold: of the policies ess (share of n) and entropy (nats), the filter's own rule being one of them; its own if not given.
     """
 
     kind: str = "marginalized"
     n: int = 15_000
     linear: tuple[str, ...] = ()
-    policy: str = ""
+    policy: str | None = None
     threshold: float | None = None
 
 
@@ -47,7 +47,7 @@ def build(choice: FilterChoice) -> "Filter":
         MotesError: a word is unknown, or a number cannot be used.
     """
     for name, given, known in (("kind", choice.kind, KINDS), ("policy", choice.policy, POLICIES)):
-        if given not in known and (name, given) != ("policy", ""):
+        if given is not None and given not in known:
             refuse(f"filter {name}", "one of " + ", ".join(map(repr, known)), repr(given))
     if choice.n > MOST:
         refuse("filter n", f"at most {MOST} particles", choice.n)
@@ -56,10 +56,12 @@ def build(choice: FilterChoice) -> "Filter":
         if choice.kind != "marginalized":
             refuse("filter linear", "no states, since only a marginalized filter takes them", list(choice.linear))
         options["linear"] = choice.linear
-    if choice.threshold is not None and choice.policy not in ("ess", "entropy"):
+    if choice.threshold is not None and choice.policy not in (None, "ess", "entropy"):
         refuse("filter threshold", f"none with the policy {choice.policy!r}", choice.threshold)
-    if choice.policy:
-        limits = () if choice.threshold is None else (choice.threshold,)
-        options["policy"] = getattr(importlib.import_module("motes.resampling.policy"), POLICIES[choice.policy])(*limits)
     module, record = KINDS[choice.kind]
-    return getattr(importlib.import_module(module), record)(n=choice.n, **options)
+    filter = getattr(importlib.import_module(module), record)(n=choice.n, **options)
+    if choice.policy is None and choice.threshold is None:
+        return filter
+    rule = getattr(importlib.import_module("motes.resampling.policy"), POLICIES[choice.policy]) if choice.policy else type(filter.policy)
+    policy = rule() if choice.threshold is None else rule(choice.threshold)
+    return importlib.import_module("motes.core.record").replace(filter, policy=policy)

@@ -84,6 +84,25 @@ def from_toml(kind: type[Settings], path: str) -> Settings:
     return _filled(kind, table, Path(path), "")
 
 
+def from_file_and_flags(kind: type[Settings], words: Sequence[str], usage: str) -> Settings:
+    """Read settings from a TOML file, which comes first, and from flags that change single keys of it.
+
+    Args:
+        kind: a frozen dataclass whose fields all have defaults.
+        words: of the command line, after the command.
+        usage: the command, for messages and help.
+
+    Raises:
+        MotesError: no file is named, or what `from_toml` and `from_flags` raise.
+    """
+    if words and words[0].startswith("-"):
+        from_flags(kind(), words, usage)
+    if not words or words[0].startswith("-"):
+        hint = "motes demo writes an example: out/terrain.toml."
+        refuse(usage.removesuffix(" CONFIG.toml"), "a TOML file first", " ".join(words) or "nothing", hint)
+    return from_flags(from_toml(kind, words[0]), words[1:], usage)
+
+
 def _filled(kind: Any, table: dict[str, Any], path: Path, place: str) -> Any:
     fields = {field.name: field for field in dataclasses.fields(kind)}
     hints = typing.get_type_hints(kind)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from motes.cli.compiled import keep_programs
-from motes.cli.options import check_seed, from_flags, from_toml, refuse
+from motes.cli.options import check_seed, from_file_and_flags, refuse
 from motes.cli.run import Config
 
 USAGE = "motes plan CONFIG.toml"
@@ -40,11 +40,7 @@ def main(words: Sequence[str]) -> None:
     Raises:
         MotesError: the file, what it names, or an option cannot be used; or no candidate fits the budget.
     """
-    if words and words[0].startswith("-"):
-        from_flags(Planning(), words, USAGE)
-    if not words or words[0].startswith("-"):
-        refuse(USAGE, "a TOML file first", " ".join(words) or "nothing", "motes demo writes an example: out/terrain.toml.")
-    config = from_flags(from_toml(Planning, words[0]), words[1:], USAGE)
+    config = from_file_and_flags(Planning, words, USAGE)
     budget = seconds(config.budget)
     check_seed(config.seed)
     keep_programs()

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from motes.applications.terrain_navigation.settings import Inertial, MapFiles, Noises, Prior, Recording
 from motes.cli.compiled import keep_programs
 from motes.cli.filters import FilterChoice, build
-from motes.cli.options import check_seed, from_flags, from_toml, refuse
+from motes.cli.options import check_seed, from_file_and_flags
 
 USAGE = "motes run CONFIG.toml"
 
@@ -47,11 +47,7 @@ def main(words: Sequence[str]) -> None:
     Raises:
         MotesError: the file, what it names, or an option cannot be used.
     """
-    if words and words[0].startswith("-"):
-        from_flags(Config(), words, USAGE)
-    if not words or words[0].startswith("-"):
-        refuse("motes run", "a TOML file first", " ".join(words) or "nothing", "motes demo writes an example: out/terrain.toml.")
-    config = from_flags(from_toml(Config, words[0]), words[1:], USAGE)
+    config = from_file_and_flags(Config, words, USAGE)
     check_seed(config.seed)
     keep_programs()
     from motes.applications.terrain_navigation import scenario

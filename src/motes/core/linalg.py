@@ -30,7 +30,7 @@ def product(a: jax.Array, b: jax.Array) -> jax.Array:
         return jnp.tensordot(a, b, 1, precision=_EXACT)
     a, b = _align(a, b, 2)
     start = jnp.zeros((a.shape[0], *b.shape[1:]), a.dtype)
-    return _total([a[:, j, None] * b[j, None] for j in range(a.shape[1])], start)
+    return total([a[:, j, None] * b[j, None] for j in range(a.shape[1])], start)
 
 
 def product_transposed(a: jax.Array, b: jax.Array) -> jax.Array:
@@ -39,7 +39,7 @@ def product_transposed(a: jax.Array, b: jax.Array) -> jax.Array:
         return jnp.tensordot(a, b, (1, 1), precision=_EXACT)
     a, b = _align(a, b, 2)
     start = jnp.zeros((a.shape[0], b.shape[0], *b.shape[2:]), a.dtype)
-    return _total([a[:, j, None] * b[None, :, j] for j in range(a.shape[1])], start)
+    return total([a[:, j, None] * b[None, :, j] for j in range(a.shape[1])], start)
 
 
 def times_vector(a: jax.Array, v: jax.Array) -> jax.Array:
@@ -48,17 +48,12 @@ def times_vector(a: jax.Array, v: jax.Array) -> jax.Array:
         return jnp.matmul(a, v, precision=_EXACT)
     a, v = _align(a, v, 1)
     start = jnp.zeros((a.shape[0], *v.shape[1:]), a.dtype)
-    return _total([a[:, j] * v[j] for j in range(a.shape[1])], start)
+    return total([a[:, j] * v[j] for j in range(a.shape[1])], start)
 
 
-def total(terms: list[jax.Array]) -> jax.Array:
-    """Sum of terms, at least one; written out, since compilers hand small sums over to libraries, which is slower."""
-    return sum(terms[1:], terms[0])
-
-
-def _total(terms: list[jax.Array], start: jax.Array) -> jax.Array:
-    """Sum of terms; `start` stands for an empty sum (a part without states)."""
-    return total(terms) if terms else start
+def total(terms: list[jax.Array], start: jax.Array) -> jax.Array:
+    """Sum of terms, `start` where there are none; written out, since compilers hand small sums over to libraries, which is slower."""
+    return sum(terms[1:], terms[0]) if terms else start
 
 
 def transpose(a: jax.Array) -> jax.Array:
@@ -171,7 +166,7 @@ def unit_factor(a: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Lower L `(i, i, *n)` with ones on its diagonal and d `(i, *n)` with L diag(d) L' = A, for positive semi-definite A `(i, i, *n)`."""
     lower = cholesky(a)
     roots = [lower[i, i] for i in range(lower.shape[0])]
-    rows = [[jnp.ones_like(roots[i]) if i == j else lower[i, j] * _inverse_pivot(root) for j, root in enumerate(roots)]
+    rows = [[jnp.ones_like(roots[i]) if i == j else lower[i, j] * inverse(root) for j, root in enumerate(roots)]
             for i in range(lower.shape[0])]  # fmt: skip
     return jnp.stack([jnp.stack(row) for row in rows]), jnp.stack(roots) ** 2
 
@@ -202,7 +197,7 @@ def solve_lower(lower: jax.Array, b: jax.Array) -> jax.Array:
     rows: list[jax.Array] = []
     for i in range(lower.shape[0]):
         known = sum(lower[i, j] * row for j, row in enumerate(rows))
-        rows.append((b[i] - known) * _inverse_pivot(lower[i, i]))
+        rows.append((b[i] - known) * inverse(lower[i, i]))
     return jnp.stack(rows) if rows else b
 
 
@@ -214,11 +209,12 @@ def solve_upper(lower: jax.Array, b: jax.Array) -> jax.Array:
         rest = b[i]
         for j in range(i + 1, size):
             rest = rest - lower[j, i] * rows[j]
-        rows[i] = rest * _inverse_pivot(lower[i, i])
+        rows[i] = rest * inverse(lower[i, i])
     return jnp.stack([rows[i] for i in range(size)]) if rows else b
 
 
-def _inverse_pivot(pivot: jax.Array) -> jax.Array:
+def inverse(pivot: jax.Array) -> jax.Array:
+    """1 / pivot; 0 where it is not positive, so that a direction without variance does not count."""
     return jnp.where(pivot > 0, 1 / jnp.where(pivot > 0, pivot, 1), 0)
 
 

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
-from motes.laws.conditional import Custom
+from motes.laws.cloud import Cloud
+from motes.laws.conditional import Conditional, Custom
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
 from motes.native import cloudwise
@@ -105,6 +106,15 @@ def reweigh(cloud: C, judge: Callable[[C], tuple[C, jax.Array, jax.Array]]) -> t
     after, likelihood, ceiling = judge(cloud)
     weights, info = weigh(cloud.log_weights, likelihood, ceiling)
     return replace(after, log_weights=weights), info
+
+
+def by_likelihood(sensor: Conditional, y: jax.Array, u: Any, t: Any) -> Callable[[Cloud], tuple[Cloud, jax.Array, jax.Array]]:
+    """Return what `reweigh` takes where particles stay and are judged by the likelihood of y alone."""
+
+    def judge(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
+        return cloud, sensor.log_prob(y, cloud.particles, u, t), sensor.ceiling(y, cloud.particles, u, t)
+
+    return judge
 
 
 @record

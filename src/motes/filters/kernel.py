@@ -168,8 +168,8 @@ class KalmanParticleKernelFilter(TwoStageFilter):
             else:
                 prediction, curved = sensor.means(X, u, t), slopes(model.nonlinear, X)
             straight = slopes(model.linear, X) if shared is None else shared
-            slopes_in = ((model.nonlinear, curved), (model.linear, straight))
-            done = law.parts.corrected_in_turn(sensor.residual(y, prediction), slopes_in, R, ~jnp.isnan(y))
+            parts = ((model.nonlinear, curved), (model.linear, straight))
+            done = law.parts.corrected_in_turn(sensor.residual(y, prediction), parts, R, ~jnp.isnan(y))
             return replace(law, parts=done.law), done.log_evidence, done.peak
 
         return reweigh(state, judge)

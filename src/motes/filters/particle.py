@@ -11,7 +11,7 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_particle_model, evolve, reweigh, weigh
+from motes.filters.interface import Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, reweigh, weigh
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models.state_space import StateSpaceModel
@@ -73,11 +73,7 @@ class ParticleFilter(TwoStageFilter):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
-
-        def judge(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
-            return cloud, model.sensor.log_prob(y, cloud.particles, u, t), model.sensor.ceiling(y, cloud.particles, u, t)
-
-        return reweigh(state, judge)
+        return reweigh(state, by_likelihood(model.sensor, y, u, t))
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Go to the next time t and take in its measurement."""

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_particle_model, evolve, reweigh
+from motes.filters.interface import Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, reweigh
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.models.state_space import StateSpaceModel
@@ -90,11 +90,7 @@ class RegularizedParticleFilter(TwoStageFilter):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
-
-        def judge(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
-            return cloud, model.sensor.log_prob(y, cloud.particles, u, t), model.sensor.ceiling(y, cloud.particles, u, t)
-
-        return reweigh(state, judge)
+        return reweigh(state, by_likelihood(model.sensor, y, u, t))
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Go to the next time t and take in its measurement."""

@@ -145,17 +145,18 @@ class Gaussian(Law):
         peak, distance = -0.5 * _LOG_2PI * jnp.asarray(components, P.dtype), jnp.zeros((), P.dtype)
         for i in range(innovation.shape[0]):
             row = [(state, part[i, j]) for state, part, j in places]
-            cross = linalg.total([P[:, state] * slope for state, slope in row])
-            before = jnp.maximum(linalg.total([slope * cross[state] for state, slope in row]), 0)
-            total = before + noise[i]
-            surprise = innovation[i] - linalg.total([slope * (center - self.center)[state] for state, slope in row])
+            zero = jnp.zeros_like(center[0])
+            cross = linalg.total([P[:, state] * slope for state, slope in row], jnp.zeros_like(center))
+            before = jnp.maximum(linalg.total([slope * cross[state] for state, slope in row], zero), 0)
+            variance = before + noise[i]
+            surprise = innovation[i] - linalg.total([slope * (center - self.center)[state] for state, slope in row], zero)
             # components that were not seen are left out here: masked rows of H would be masked again for every entry of P
             used = True if seen is None else seen[i]
-            inverse = jnp.where(used, _inverse(total), 0)
-            lower = jnp.where(used, _inverse(jnp.maximum(total, (1 + _ROUNDING * jnp.finfo(P.dtype).eps) * before)), 0)
+            inverse = jnp.where(used, linalg.inverse(variance), 0)
+            lower = jnp.where(used, linalg.inverse(jnp.maximum(variance, (1 + _ROUNDING * jnp.finfo(P.dtype).eps) * before)), 0)
             center = center + cross * (inverse * jnp.where(jnp.isfinite(surprise), surprise, 0))
             P = linalg.rank_update(P, cross, -lower)
-            peak = peak - 0.5 * jnp.log(jnp.where(used & (total > 0), total, 1))
+            peak = peak - 0.5 * jnp.log(jnp.where(used & (variance > 0), variance, 1))
             distance = distance + inverse * surprise**2
         return Correction(Gaussian(center, P), peak - 0.5 * distance, peak)
 
@@ -219,11 +220,6 @@ def _log_density(residual: jax.Array, factor: jax.Array, seen: jax.Array | None)
     components = residual.shape[0] if seen is None else jnp.sum(seen, axis=0)
     peak = -0.5 * (linalg.log_determinant(factor) + _LOG_2PI * components)
     return peak - 0.5 * jnp.sum(white**2, axis=0), peak
-
-
-def _inverse(variance: jax.Array) -> jax.Array:
-    """1 / variance; 0 where there is none, so that a direction without variance does not count."""
-    return jnp.where(variance > 0, 1 / jnp.where(variance > 0, variance, 1), 0)
 
 
 def _same_batch(factor: jax.Array, b: jax.Array, small_axes: int = 2) -> tuple[jax.Array, jax.Array]:

@@ -91,21 +91,20 @@ def regressed(sensor: AdditiveGaussian, states: Sequence[int], laws: Gaussian, u
     size = laws.center.shape[0]
     others = tuple(i for i in range(size) if i not in states)
     order = user_order(others, size)
-    # the barriers keep compilers from working factor, readings and plane out again wherever they are used
-    factor = jax.lax.optimization_barrier(linalg.cholesky(linalg.take(linalg.take(laws.covariance, states), states, axis=1)))
+    factor = linalg.cholesky(linalg.take(linalg.take(laws.covariance, states), states, axis=1))
     nothing = jnp.zeros((len(others), *factor.shape[1:]), factor.dtype)
     step = np.sqrt(max(3, len(states)))
     steps = step * linalg.take(jnp.concatenate([factor, nothing]), order)
     moves = [jnp.zeros_like(laws.center), *(sign * steps[:, j] for sign in (1, -1) for j in range(len(states)))]
     # point by point: a look-up in a map that shares a loop with anything else is several times slower
-    found = jnp.stack([jax.lax.optimization_barrier(sensor.means(laws.center + move, u, t)) for move in moves], axis=1)
+    found = jnp.stack([sensor.means(laws.center + move, u, t) for move in moves], axis=1)
     middle, (above, below) = found[:, 0], jnp.split(sensor.residual(found[:, 1:], found[:, :1]), 2, axis=1)
     even, odd = (above + below) / (2 * step), (above - below) / (2 * step)
     bend = sum((even[:, j] for j in range(len(states))), jnp.zeros_like(middle)) / step
     # weighted mean of squares less square of the mean; what the slope explains, the odd parts, has dropped out of the difference
     unexplained = linalg.product_transposed(even, even) - bend[:, None] * bend[None]
     slope = linalg.transpose(linalg.solve_upper(factor, linalg.transpose(odd)))
-    return Regression(*jax.lax.optimization_barrier((middle + bend, slope, unexplained)))
+    return Regression(middle + bend, slope, unexplained)
 
 
 def has_moments(part: Conditional) -> bool:

@@ -3,10 +3,9 @@
 from typing import Any, NamedTuple
 
 import jax
-from rich.console import Console
-from rich.progress import track
 
 from motes.core import checks
+from motes.core.progress import tracked
 from motes.core.record import replace, values
 from motes.core.types import Inputs
 from motes.costs.calibrate import Calibration
@@ -77,9 +76,7 @@ class Clock(NamedTuple):
         """
         found: dict[str, Sized] = {}
         cheapest = (float("inf"), "")
-        console = Console(stderr=True)
-        shown = console.is_terminal if self.progress is None else self.progress
-        for candidate in track(options, "timing", console=console, disable=not shown):
+        for candidate in tracked(options, "timing", self.progress):
             result = self._sized(candidate, budget)
             if isinstance(result, Sized):
                 found[candidate.name] = result

@@ -70,8 +70,7 @@ class SplitKernels(Kernels):
             noise = random.normal(key, (len(states), center.shape[-1]), center.dtype)
             for k in range(len(states)):
                 column = linalg.times_vector(linalg.transpose(rows), directions[:, k])
-                column, moved = jax.lax.optimization_barrier((column, jnp.sqrt(amounts[k]) * noise[k] * column))
-                center = center + moved
+                center = center + jnp.sqrt(amounts[k]) * noise[k] * column
                 P = linalg.rank_update(P, column, -amounts[k])
             return replace(law, parts=Gaussian(center, P))
 

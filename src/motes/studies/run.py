@@ -141,8 +141,10 @@ def _bar(plan: Experiment, tasks: list[Task], progress: bool | None) -> Iterator
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+    from motes.core.progress import is_shown
+
     console = Console(stderr=True)
-    if not (console.is_terminal if progress is None else progress):
+    if not is_shown(console, progress):
         yield lambda runs: None
         return
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())

@@ -13,19 +13,19 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 from scipy.stats import chi2
 
 from motes.applications.terrain_navigation.model import Track, places_of
 from motes.applications.terrain_navigation.scenario import LOST, Flight
 from motes.bounds.kalman_at_truth import kalman_at_truth
+from motes.core.progress import tracked
 from motes.core.record import replace
 from motes.filters.interface import Filter
 from motes.filters.kernel import KalmanParticleKernelFilter
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.filters.regularized import RegularizedParticleFilter
 from motes.filters.run import run
+from motes.laws.conditional import Conditional
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.kernels import Regularization
 from motes.resampling.splitting import SplitKernels
@@ -40,10 +40,10 @@ COLUMNS = ("filter", "lost", "paper's rule", "RMSE, m", "of bound", "NEES / 2", 
 
 
 class Rival(NamedTuple):
-    """A filter, and the model that it believes in: that of the flight where none is given."""
+    """A filter, and the dynamics that it believes in: those of the flight where none are given."""
 
     filter: Filter
-    model: StateSpaceModel | None = None
+    dynamics: Conditional | None = None
 
 
 class Flown(NamedTuple):
@@ -106,7 +106,7 @@ def usual_rivals(model: StateSpaceModel, wide: StateSpaceModel) -> dict[str, Riv
     return {
         "kernel, 2500": Rival(kernel),
         "marginalized, 15000": Rival(MarginalizedParticleFilter(n=15000)),
-        "same, more noise": Rival(MarginalizedParticleFilter(n=15000), wide),
+        "same, more noise": Rival(MarginalizedParticleFilter(n=15000), wide.dynamics),
         "regularized, 2500": Rival(RegularizedParticleFilter(n=2500, regularization=Regularization(scale=0.5))),
     }
 
@@ -128,14 +128,11 @@ def fly_all(flights: Sequence[Flight], rival: Rival, seed: int = 0, name: str = 
         name: for the progress bar.
         progress: whether to draw one on the error stream; where that is a terminal, if not given.
     """
-    console = Console(stderr=True)
-    shown = console.is_terminal if progress is None else progress
     filter = replace(rival.filter, on_collapse="inflate")
-    names = flights[0].model.names
-    across, moving = np.array(places_of(names)[:2]), np.array([names.index("vN"), names.index("vE")])
+    across, moving = _horizontal(flights[0].model.names)
     errors, nees, seconds = [], [], []
-    for k, flight in enumerate(track(flights, name, console=console, disable=not shown)):
-        model: Any = flight.model if rival.model is None else replace(flight.model, dynamics=rival.model.dynamics)
+    for k, flight in enumerate(tracked(flights, name, progress)):
+        model: Any = flight.model if rival.dynamics is None else replace(flight.model, dynamics=rival.dynamics)
         began = time.perf_counter()
         history = jax.block_until_ready(run(seed + k, filter, model, flight.ys, flight.inputs))
         seconds.append(time.perf_counter() - began)
@@ -161,11 +158,14 @@ def compare(flights: Sequence[Flight], rivals: dict[str, Rival], seed: int = 0, 
     """
     truth = truth_of(flights[0])
     least = kalman_at_truth(flights[0].model, jnp.zeros((truth.north.shape[0], flights[0].model.size)), truth)
-    names = flights[0].model.names
-    bound, velocity_bound = (np.asarray(least.cov, np.float64)[:, np.array(states)[:, None], np.array(states)]
-                             for states in (places_of(names)[:2], (names.index("vN"), names.index("vE"))))
+    bound, velocity_bound = (np.asarray(least.cov, np.float64)[:, places[:, None], places] for places in _horizontal(least.names))
     flown = {name: fly_all(flights, rival, seed, name, progress) for name, rival in rivals.items()}
     return Comparison(Table(COLUMNS, tuple(judged(name, one, bound) for name, one in flown.items())), flown, bound, velocity_bound)
+
+
+def _horizontal(names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return where states have the horizontal position and velocity errors."""
+    return np.array(places_of(names)[:2]), np.array([names.index("vN"), names.index("vE")])
 
 
 def judged(name: str, flown: Flown, bound: np.ndarray) -> tuple[str | int | float | None, ...]:

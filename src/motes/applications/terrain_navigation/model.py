@@ -9,6 +9,7 @@ the inertial value to get the true one, so the true altitude is the inertial alt
 Only rN and rE enter nonlinearly.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -224,7 +225,7 @@ def altimeter(terrain: TerrainMap, deviation: float, names: tuple[str, ...] = NA
     return AdditiveGaussian(expected, NoiseOverVoids(terrain, variance, spread, places))
 
 
-def places_of(names: tuple[str, ...]) -> tuple[int, int, int]:
+def places_of(names: Sequence[str]) -> tuple[int, int, int]:
     """Return the indices of rN, rE and rD."""
     return names.index("rN"), names.index("rE"), names.index("rD")
 

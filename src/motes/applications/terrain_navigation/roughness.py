@@ -15,7 +15,6 @@ import numpy as np
 
 from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
 from motes.bounds.kalman_at_truth import kalman_at_truth
-from motes.core import linalg
 from motes.core.record import replace
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
@@ -101,23 +100,18 @@ def roughness(model: StateSpaceModel, track: Track) -> Roughness:
 def _expected(model: Any, track: Track) -> jax.Array:
     """Return the expected horizontal error at each fix, `(t,)`, m."""
     *across, down = places_of(model.names)
-    across, zero = np.array(across), jnp.zeros(model.size, model.dtype)
+    zero = jnp.zeros(model.size, model.dtype)
 
     def measured(cov: jax.Array, u: Track, t: Any) -> jax.Array:
-        factor = linalg.cholesky(cov[across[:, None], across])
-        offsets = np.sqrt(3) * jnp.concatenate([jnp.zeros((1, 2)), factor.T, -factor.T])
-        readings = jax.vmap(lambda offset: model.sensor.mean(zero.at[across].set(offset), u, t)[0])(offsets)
-        slopes = (readings[1:3] - readings[3:]) / (2 * np.sqrt(3))  # along the columns of the factor
-        shares = np.array([2, 1, 1, 1, 1]) / 6
-        unexplained = jnp.sum(shares * (readings - jnp.sum(shares * readings)) ** 2) - jnp.sum(slopes**2)
-        H = zero.at[across].set(linalg.solve_upper(factor, slopes)).at[down].set(-1.0)
-        R = model.sensor.cov(zero, u, t) + jnp.maximum(unexplained, 0)
+        _, slope, unexplained = linearize.regressed(model.sensor, across, Gaussian(zero[:, None], cov[..., None]), u, t)
+        H = zero.at[np.array(across)].set(slope[0, :, 0]).at[down].set(-1.0)
+        R = model.sensor.cov(zero, u, t) + jnp.maximum(unexplained[..., 0], 0)
         return Gaussian(zero, cov).corrected(jnp.zeros(1, zero.dtype), H[None], R).law.covariance
 
     def advance(cov: jax.Array, now: tuple[Track, Any]) -> tuple[jax.Array, jax.Array]:
         cov = jnp.where(now[1] > 0, linearize.moved(model.dynamics, Gaussian(zero, cov), *now).covariance, cov)
         cov = measured(cov, *now)
-        return cov, jnp.sqrt(jnp.sum(jnp.diagonal(cov)[across]))
+        return cov, jnp.sqrt(jnp.sum(jnp.diagonal(cov)[np.array(across)]))
 
     return jax.lax.scan(advance, model.initial.cov(), (track, jnp.arange(track.north.shape[0], dtype=jnp.int32)))[1]
 
