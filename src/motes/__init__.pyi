@@ -16,9 +16,11 @@ from .costs.measure import StepTime as StepTime
 from .costs.measure import fit_step_time as fit_step_time
 from .costs.measure import seconds_per_step as seconds_per_step
 from .filters import keep as keep
+from .filters.cubature_kalman import CubatureKalmanFilter as CubatureKalmanFilter
 from .filters.explain import Explanation as Explanation
 from .filters.explain import explain as explain
 from .filters.extended_kalman import ExtendedKalmanFilter as ExtendedKalmanFilter
+from .filters.gauss_hermite import GaussHermiteFilter as GaussHermiteFilter
 from .filters.history import History as History
 from .filters.history import joined as joined
 from .filters.interface import Filter as Filter
@@ -35,6 +37,7 @@ from .filters.run import run as run
 from .filters.run import run_in_chunks as run_in_chunks
 from .filters.stream import Stream as Stream
 from .filters.stream import stream as stream
+from .filters.unscented_kalman import UnscentedKalmanFilter as UnscentedKalmanFilter
 from .laws.cloud import Cloud as Cloud
 from .laws.conditional import AdditiveGaussian as AdditiveGaussian
 from .laws.conditional import AdditiveNoise as AdditiveNoise

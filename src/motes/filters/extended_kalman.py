@@ -1,7 +1,8 @@
 """Extended Kalman filter: the Kalman filter on the model linearized at its own estimate (Jacobians by automatic differentiation).
 
 Predict: the mean goes through f, the covariance through the slope F of f there: P <- F P F' + Q. Correct: condition on the innovation
-y - h(mean) with the slope H of h there. On a linear model it is the Kalman filter.
+y - h(mean) with the slope H of h there. On a linear model it is the Kalman filter. With iterations the sensor is linearized again where
+the last correction led (Bell, Cathey 1993: Gauss-Newton steps towards the most probable state).
 """
 
 from typing import Any
@@ -9,8 +10,8 @@ from typing import Any
 import jax
 
 from motes.core import checks
-from motes.core.record import record
-from motes.filters.interface import Info, TwoStageFilter, as_state_space, single
+from motes.core.record import record, static
+from motes.filters.interface import Info, TwoStageFilter, as_moment_model, single
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
@@ -18,7 +19,21 @@ from motes.models.state_space import StateSpaceModel
 
 @record
 class ExtendedKalmanFilter(TwoStageFilter):
-    """Extended Kalman filter; its state is a `Gaussian`."""
+    """Extended Kalman filter; its state is a `Gaussian`.
+
+    Attributes:
+        iterations: linearizations of the sensor in a correction; 1 is the plain filter, more the iterated one. Steps are not damped.
+    """
+
+    iterations: int = static(default=1)
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: iterations is not a positive whole number.
+        """
+        checks.positive_integer("ExtendedKalmanFilter iterations", self.iterations)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for means and covariances of dynamics and sensor.
@@ -26,16 +41,7 @@ class ExtendedKalmanFilter(TwoStageFilter):
         Raises:
             MotesError: one of them is a Custom conditional.
         """
-        model = as_state_space("ExtendedKalmanFilter", model)
-        for name in ("dynamics", "sensor"):
-            if not linearize.has_moments(getattr(model, name)):
-                checks.refuse(
-                    f"ExtendedKalmanFilter {name}",
-                    "a mean function and a noise covariance (it uses the Jacobian)",
-                    type(getattr(model, name)).__name__,
-                    "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter.",
-                )
-        return model
+        return as_moment_model("ExtendedKalmanFilter", model)
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Gaussian:
         """Return the Gaussian with the moments of the initial law."""
@@ -47,5 +53,5 @@ class ExtendedKalmanFilter(TwoStageFilter):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Condition on y."""
-        done = linearize.measured(model.sensor, state, y, u, t)
+        done = linearize.measured(model.sensor, state, y, u, t, self.iterations)
         return done.law, single(done.log_evidence, done.peak)

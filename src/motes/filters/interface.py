@@ -11,6 +11,7 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional, Custom
+from motes.models import linearize
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
 from motes.native import cloudwise
@@ -128,8 +129,9 @@ class Filter(ABC):
 
     on_collapse: str = static(default="raise", kw_only=True)
     look_ahead: ClassVar[bool] = False
-    has_evidence: ClassVar[bool] = True
     """Whether the filter moves only when it knows the next measurement."""
+    has_evidence: ClassVar[bool] = True
+    """Whether the filter knows the density of what was measured; where not, histories and streams refuse to tell it."""
 
     def __post_init__(self) -> None:
         """Check the knobs.
@@ -239,4 +241,19 @@ def as_particle_model(asked_by: str, model: Any, transition_density: bool) -> St
         checks.refuse(f"{asked_by} dynamics", "a sample function (particles are moved by it)", "Custom with log_prob only")
     if transition_density and isinstance(dynamics, Custom) and dynamics.density is None:
         checks.refuse(f"{asked_by} dynamics", "a log_prob (a proposal's weights need it)", "Custom with sample only")
+    return model
+
+
+def as_moment_model(asked_by: str, model: Any) -> StateSpaceModel:
+    """Return a state-space model whose dynamics and sensor have a mean function and a noise covariance.
+
+    Raises:
+        MotesError: one of them has not, or the value is no model.
+    """
+    model = as_state_space(asked_by, model)
+    for name in ("dynamics", "sensor"):
+        part = getattr(model, name)
+        if not linearize.has_moments(part):
+            hint = "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter."
+            checks.refuse(f"{asked_by} {name}", "a mean function and a noise covariance", type(part).__name__, hint)
     return model

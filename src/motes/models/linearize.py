@@ -27,10 +27,18 @@ def moved(dynamics: Conditional, law: Gaussian, u: Any, t: Any) -> Gaussian:
     return Gaussian(center, linalg.sandwich(slope, law.covariance) + noise)
 
 
-def measured(sensor: Conditional, law: Gaussian, y: jax.Array, u: Any, t: Any) -> Correction:
-    """Condition a Gaussian on a measurement `(y,)` through the sensor's slope at the mean; NaN means not measured."""
-    prediction, slope, noise = affine(sensor, law.center, u, t)
-    return law.corrected(sensor.residual(y, prediction), slope, noise, ~jnp.isnan(y))
+def measured(sensor: Conditional, law: Gaussian, y: jax.Array, u: Any, t: Any, iterations: int = 1) -> Correction:
+    """Condition a Gaussian on a measurement `(y,)` through the sensor's slope; NaN means not measured.
+
+    The slope is first taken at the mean, then at the mean that the last correction gave; all corrections start from the law given.
+    """
+    point = law.center
+    for _ in range(iterations):
+        prediction, slope, noise = affine(sensor, point, u, t)
+        at_mean = prediction + slope @ (law.center - point)
+        done = law.corrected(sensor.residual(y, at_mean), slope, noise, ~jnp.isnan(y))
+        point = done.law.center
+    return done
 
 
 def moved_each(dynamics: Conditional, laws: Gaussian, u: Any, t: Any, shared: tuple[jax.Array, jax.Array] | None) -> Gaussian:

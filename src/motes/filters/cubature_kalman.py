@@ -1,0 +1,41 @@
+"""Cubature Kalman filter (Arasaratnam, Haykin 2009): moments by the third-degree spherical-radial rule, 2 x points of equal weight.
+
+Predict: mean and covariance of the dynamics over the points, plus noise. Correct: Kalman gain from the covariances of state and
+measurement over the points of the prediction. No knobs, and no covariance that is not one.
+"""
+
+from typing import Any
+
+import jax
+
+from motes.core.record import record
+from motes.filters.interface import Info, TwoStageFilter, as_moment_model, single
+from motes.laws.gaussian import Gaussian
+from motes.models import sigma_points
+from motes.models.state_space import StateSpaceModel
+
+
+@record
+class CubatureKalmanFilter(TwoStageFilter):
+    """Cubature Kalman filter; its state is a `Gaussian`."""
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for means and covariances of dynamics and sensor.
+
+        Raises:
+            MotesError: one of them is a Custom conditional.
+        """
+        return as_moment_model("CubatureKalmanFilter", model)
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Gaussian:
+        """Return the Gaussian with the moments of the initial law."""
+        return Gaussian(model.initial.mean(), model.initial.cov())
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
+        """Move mean and covariance to time t."""
+        return sigma_points.moved(model.dynamics, sigma_points.cubature(model.size), state, u, t)
+
+    def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
+        """Condition on y."""
+        done = sigma_points.measured(model.sensor, sigma_points.cubature(model.size), state, y, u, t)
+        return done.law, single(done.log_evidence, done.peak)
