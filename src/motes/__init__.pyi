@@ -16,11 +16,14 @@ from .costs.measure import StepTime as StepTime
 from .costs.measure import fit_step_time as fit_step_time
 from .costs.measure import seconds_per_step as seconds_per_step
 from .filters import keep as keep
+from .filters.cost_reference import CostReferenceParticleFilter as CostReferenceParticleFilter
 from .filters.cubature_kalman import CubatureKalmanFilter as CubatureKalmanFilter
 from .filters.explain import Explanation as Explanation
 from .filters.explain import explain as explain
 from .filters.extended_kalman import ExtendedKalmanFilter as ExtendedKalmanFilter
 from .filters.gauss_hermite import GaussHermiteFilter as GaussHermiteFilter
+from .filters.gaussian_particle import GaussianParticleFilter as GaussianParticleFilter
+from .filters.gaussian_sum import GaussianSumParticleFilter as GaussianSumParticleFilter
 from .filters.history import History as History
 from .filters.history import joined as joined
 from .filters.interface import Filter as Filter
@@ -43,6 +46,7 @@ from .laws.conditional import AdditiveGaussian as AdditiveGaussian
 from .laws.conditional import AdditiveNoise as AdditiveNoise
 from .laws.conditional import Custom as Custom
 from .laws.conditional import LinearGaussian as LinearGaussian
+from .laws.cost_cloud import CostCloud as CostCloud
 from .laws.gaussian import Gaussian as Gaussian
 from .laws.marginal_cloud import MarginalCloud as MarginalCloud
 from .laws.mixture import Mixture as Mixture
@@ -60,6 +64,8 @@ from .planning.plan import Plan as Plan
 from .planning.plan import plan as plan
 from .plotting.plot import plot as plot
 from .report.html import report as report
+from .resampling.costs import InverseCost as InverseCost
+from .resampling.costs import InverseExcess as InverseExcess
 from .resampling.kernels import Regularization as Regularization
 from .resampling.policy import ESS as ESS
 from .resampling.policy import Always as Always

@@ -12,7 +12,7 @@ from motes.filters.interface import Filter
 
 SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
 
-KNOBS = {"n": 300, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (45, 43)}
+KNOBS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (45, 43)}
 """Values for knobs that have no default; a new filter whose knob is not listed here says so by failing."""
 
 
@@ -58,6 +58,11 @@ def examples():
     found["KalmanParticleKernelFilter"] = mo.KalmanParticleKernelFilter(n=300, nonlinear=("a", "b"), every=2)
     found["KalmanParticleKernelFilter, common kernel"] = mo.KalmanParticleKernelFilter(
         n=300, nonlinear=("b",), width=0.5, every=3, kernels=mo.CommonKernel(guard=0.01), slope="jacobian", policy=mo.Always()
+    )
+    found["GaussianParticleFilter, moved draws"] = mo.GaussianParticleFilter(n=300, redraw=False)
+    found["GaussianSumParticleFilter, II"] = mo.GaussianSumParticleFilter(n=100, mixands=8, form="II")
+    found["CostReferenceParticleFilter, local"] = mo.CostReferenceParticleFilter(
+        n=300, q=1, phi=mo.InverseCost(), forgetting=0.5, scale=(0.7, 0.5), adaptive=True, selection="local"
     )
     found["MarginalizedParticleFilter, none"] = mo.MarginalizedParticleFilter(n=300, linear=())
     return found

@@ -102,8 +102,7 @@ class History:
         return self.last.evidence.value()
 
     def _ask_evidence(self) -> None:
-        if not self.has_evidence:
-            checks.refuse("history.log_likelihood", "a filter with a likelihood", self.label, "Its costs are no probabilities.")
+        ask_evidence("history.log_likelihood", self.has_evidence, self.label)
 
     def raise_on_collapse(self) -> None:
         """Raise where all weights vanished.
@@ -172,6 +171,12 @@ class History:
         carry = Carry(state=last.get("state"), evidence=evidence, y=last["y"], u=last.get("u"), step=last["step"])
         labels = (tuple(texts["names"]), texts["filter"], bool(texts["has_evidence"]), texts["engine"])
         return cls(tree.get("kept", {}), info, carry, tree["start"], *labels)
+
+
+def ask_evidence(asked: str, has_evidence: bool, label: str) -> None:
+    """Refuse to tell the likelihood of a filter that has none."""
+    if not has_evidence:
+        checks.refuse(asked, "a filter with a likelihood", label, "Its costs are no probabilities.")
 
 
 def joined(pieces: Sequence[History]) -> History:

@@ -10,7 +10,7 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.types import Inputs, KeyLike
-from motes.filters.history import Carry, History
+from motes.filters.history import Carry, History, ask_evidence
 from motes.filters.interface import Filter, Info
 from motes.filters.run import Engine, canonical_parts, checked_measurements
 from motes.io import archive
@@ -167,6 +167,7 @@ class Stream:
     @property
     def log_likelihood(self) -> jax.Array:
         """Log density of all measurements so far, `()`."""
+        ask_evidence("stream.log_likelihood", self.filter.has_evidence, repr(self.filter))
         return jnp.zeros(()) if self._carry is None else self._carry.evidence.value()
 
     def save(self, path: str | Path) -> Path:

@@ -62,6 +62,13 @@ class Gaussian(Law):
         noise = random.normal(key, (self.center.shape[0], n), self.center.dtype)
         return linalg.add_vectors(linalg.times_vector(linalg.cholesky(self.covariance), noise), self.center)
 
+    def sample_each(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n points of each of a batch of m laws, `(x, n, m)`; covariances are `(x, x, m)`."""
+        size, laws = self.center.shape
+        noise = random.normal(key, (size, n * laws), self.center.dtype).reshape(size, n, laws)
+        factor = linalg.cholesky(self.covariance)
+        return self.center[:, None] + jnp.einsum("ijm,jnm->inm", factor, noise, precision=jax.lax.Precision.HIGHEST)
+
     def log_prob(self, value: jax.Array) -> jax.Array:
         """Log density at `(x,)` or `(x, n)`; NaN components are left out (the density of the rest)."""
         return log_normal(linalg.add_vectors(value, -self.center), self.covariance, ~jnp.isnan(value))

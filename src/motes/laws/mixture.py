@@ -10,6 +10,14 @@ from motes.laws.gaussian import Gaussian, log_normal
 from motes.laws.law import Law
 
 
+def moments_each(log_weights: jax.Array, points: jax.Array) -> Gaussian:
+    """Return the m Gaussians with the moments of m clouds `(x, n, m)`, each under its own normalized log weights `(n, m)`."""
+    weights, exact = jnp.exp(log_weights), jax.lax.Precision.HIGHEST
+    center = jnp.einsum("inm,nm->im", points, weights, precision=exact)
+    off = points - center[:, None]
+    return Gaussian(center, linalg.symmetric(jnp.einsum("inm,jnm->ijm", off * weights, off, precision=exact)))
+
+
 @record
 class Mixture(Law):
     """A weighted sum of n Gaussians.

@@ -1,0 +1,145 @@
+"""Cost-reference particle filter (Miguez, Bugallo, Djuric 2004; paper 004, section 4.2): costs in place of densities of the noises.
+
+1. Risk of each particle: R = lambda C + |y - h(f(x))|^q, what it would cost without noise. Select particles by phi(R), or let each be
+   replaced by the neighbor of the lowest risk; a particle keeps its cost C, not its risk.
+2. Move each by f plus Gaussian steps; with `adaptive`, their size follows the steps that survived.
+3. Cost: C <- lambda C + |y - h(x)|^q. Weights are phi(C).
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, logspace, random
+from motes.core.record import record, replace, static
+from motes.filters.interface import Filter, Info, as_moment_model, weigh
+from motes.laws.conditional import matrix_over, over_particles
+from motes.laws.cost_cloud import CostCloud
+from motes.models.state_space import StateSpaceModel
+from motes.resampling.costs import Falling, InverseExcess
+from motes.resampling.schemes import Scheme, Systematic
+
+SETTLING = 10
+"""Steps before the size of the steps adapts."""
+
+
+@record
+class CostReferenceParticleFilter(Filter):
+    """Cost-reference particle filter; its state is a `CostCloud`. It has no likelihood.
+
+    Of the model it uses the mean functions, and `initial` to draw the first particles: no densities. Components of y are summed as they
+    are, so bring measurements of different units to one scale.
+
+    Attributes:
+        n: number of particles.
+        q: power of the residual in the cost, 1 or 2.
+        phi: how weights fall with costs.
+        forgetting: lambda, from 0 (the last measurement alone) to 1 (all of them).
+        scale: standard deviation of the Gaussian steps, a number or one per state; None for those of the model's process noise.
+        adaptive: let each particle carry a factor on the scale that follows its steps (from step 11 on).
+        selection: "global" draws by phi(R); "local" compares each particle with its two neighbors and needs no sum over particles.
+        estimate: "mean" weighted by phi(C), or "minimum cost", the best particle.
+        scheme: how the global selection draws.
+    """
+
+    n: int = static()
+    q: int = static(default=2)
+    phi: Falling = InverseExcess()
+    forgetting: float = 0.95
+    scale: Any = None
+    adaptive: bool = static(default=False)
+    selection: str = static(default="global")
+    estimate: str = static(default="mean")
+    scheme: Scheme = Systematic()
+    look_ahead = True
+    has_evidence = False
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: a number is out of range, or a word is unknown.
+        """
+        name = "CostReferenceParticleFilter"
+        checks.positive_integer(f"{name} n", self.n)
+        if self.q not in (1, 2):
+            checks.refuse(f"{name} q", "1 or 2", self.q)
+        if checks.is_concrete(self.forgetting) and not 0 <= self.forgetting <= 1:
+            checks.refuse(f"{name} forgetting", "a number from 0 to 1", self.forgetting)
+        if self.scale is not None:
+            scale = checks.as_float(f"{name} scale", self.scale)
+            if checks.is_concrete(scale) and not bool((scale > 0).all()):
+                checks.refuse(f"{name} scale", "positive standard deviations", scale.tolist())
+            object.__setattr__(self, "scale", scale)
+        checks.option(f"{name} selection", self.selection, ("global", "local"))
+        checks.option(f"{name} estimate", self.estimate, ("mean", "minimum cost"))
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for mean functions of dynamics and sensor.
+
+        Raises:
+            MotesError: one of them is a Custom conditional, or there are not as many scales as states.
+        """
+        model = as_moment_model("CostReferenceParticleFilter", model)
+        if self.scale is not None and self.scale.ndim:
+            checks.shape("CostReferenceParticleFilter scale", self.scale, (model.size,), "(one per state)")
+        return model
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> CostCloud:
+        """Draw n particles from the initial law, at no cost."""
+        return CostCloud.free(model.initial.sample(key, self.n), self.estimate == "minimum cost")
+
+    def _charged(self, model: StateSpaceModel, cloud: CostCloud, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
+        """Costs of particles that stand at X `(x, n)`, above the least, and the least."""
+        residual = model.sensor.residual(y, over_particles(model.sensor.mean, X, u, t))
+        # what was not measured costs nothing; a prediction that is not a number costs all
+        square = jnp.sum(jnp.where(jnp.isnan(y)[:, None], 0, residual) ** 2, axis=0)
+        costs = jnp.where(jnp.isinf(cloud.costs), jnp.inf, self.forgetting * cloud.costs) + (square if self.q == 2 else jnp.sqrt(square))
+        costs = jnp.where(jnp.isnan(costs), jnp.inf, costs)
+        lowest = jnp.min(costs)
+        base = jnp.where(jnp.isfinite(lowest), lowest, 0)
+        return costs - base, self.forgetting * cloud.least + base
+
+    def _taken_in(self, model: StateSpaceModel, cloud: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
+        costs, least = self._charged(model, cloud, cloud.particles, y, u, t)
+        masses = jnp.where(jnp.isfinite(costs), self.phi.log_mass(costs, least), jnp.nan)
+        weights, info = weigh(logspace.uniform_weights(self.n, masses.dtype), masses, jnp.full((), jnp.inf, masses.dtype))
+        return replace(cloud, log_weights=weights, costs=costs, least=least), replace(info, log_evidence=jnp.zeros_like(least))
+
+    def update(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
+        """Charge the particles for y."""
+        after, info = self._taken_in(model, state, y, u, t)
+        return self.settle(state, after, info, y)
+
+    def _selected(self, key: jax.Array, risks: jax.Array, least: jax.Array) -> jax.Array:
+        if self.selection == "local":
+            here = jnp.arange(self.n, dtype=jnp.int32)
+            around = jnp.stack([here, jnp.roll(here, 1), jnp.roll(here, -1)])
+            return jnp.take_along_axis(around, jnp.argmin(risks[around], axis=0)[None], axis=0)[0]
+        return self.scheme.ancestors(key, logspace.normalize(self.phi.log_mass(risks, least))[0], self.n)
+
+    def step(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
+        """Select by risk, go to the next time t, and charge the particles for y."""
+        ahead = over_particles(model.dynamics.mean, state.particles, u, t)
+        risks, least = self._charged(model, state, ahead, y, u, t)
+        ancestors = self._selected(random.child(key, random.RESAMPLE), risks, least)
+        noise = random.normal(random.child(key, random.NOISE), ahead.shape, ahead.dtype)
+
+        def moved(cloud: CostCloud, centers: jax.Array) -> CostCloud:
+            walk = cloud.spread * noise
+            steps, since = jnp.sum(walk**2, axis=0) / noise.shape[0], jnp.asarray(t, noise.dtype)
+            followed = jnp.sqrt(((since - 1) * cloud.spread**2 + steps) / since)
+            spread = jnp.where(t > SETTLING, followed, cloud.spread) if self.adaptive else cloud.spread
+            return replace(cloud, particles=centers + self._scales(model, cloud.particles, u, t) * walk, spread=spread)
+
+        after, info = self._taken_in(model, moved(state.chosen(ancestors), ahead[:, ancestors]), y, u, t)
+        blind = replace(state, ancestors=jnp.arange(self.n, dtype=jnp.int32))
+        return self.settle(moved(blind, ahead), after, info, y)
+
+    def _scales(self, model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Standard deviations of the steps, `(x, n)` or what broadcasts to it."""
+        if self.scale is not None:
+            return jnp.asarray(self.scale, X.dtype).reshape(-1, 1)
+        variances = jnp.diagonal(matrix_over(model.dynamics.cov, X, u, t))
+        return jnp.sqrt(variances.T if variances.ndim == 2 else variances[:, None])

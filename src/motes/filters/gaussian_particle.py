@@ -1,0 +1,86 @@
+"""Gaussian particle filter (Kotecha, Djuric 2003 I; paper 004, section 4.1): particles carry a Gaussian over each step, nothing resamples.
+
+1. Draw particles from the Gaussian of the step before and move them by the dynamics; with `redraw`, keep only their mean and covariance.
+2. Weigh particles, the moved ones or with `redraw` new ones from the predicted Gaussian, by p(y | x).
+3. Their weighted mean and covariance are the new Gaussian.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, logspace, random
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info, TwoStageFilter, as_particle_model, weigh
+from motes.laws.cloud import weighted_moments
+from motes.laws.gaussian import Gaussian
+from motes.models.state_space import StateSpaceModel
+
+
+@record
+class GaussianParticleFilter(TwoStageFilter):
+    """Gaussian particle filter; its state is a `Gaussian`. It converges to the true posterior only where that is Gaussian.
+
+    Attributes:
+        n: number of particles.
+        redraw: weigh new draws from the predicted Gaussian (the general form); otherwise the moved particles themselves, which spares
+            half of the draws and keeps the shape of the prediction (paper 004, steps 1 to 5), but moves only when y is known.
+    """
+
+    n: int = static()
+    redraw: bool = static(default=True)
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number.
+        """
+        checks.positive_integer("GaussianParticleFilter n", self.n)
+
+    @property
+    def look_ahead(self) -> bool:  # type: ignore[override]
+        """Moved particles that are to be weighed themselves are not kept from step to step."""
+        return not self.redraw
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for dynamics that can be drawn from and a sensor with a density.
+
+        Raises:
+            MotesError: one is missing.
+        """
+        return as_particle_model("GaussianParticleFilter", model, transition_density=False)
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Gaussian:
+        """Return the Gaussian with the moments of the initial law."""
+        return Gaussian(model.initial.mean(), model.initial.cov())
+
+    def _moved(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> jax.Array:
+        X = state.sample(random.child(key, random.INITIAL), self.n)
+        return model.dynamics.sample(random.child(key, random.NOISE), X, u, t)
+
+    def _unweighed(self, X: jax.Array) -> Gaussian:
+        return Gaussian(*weighted_moments(logspace.uniform_weights(self.n, X.dtype), X))
+
+    def _weighed(self, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
+        likelihood, ceiling = model.sensor.log_prob(y, X, u, t), model.sensor.ceiling(y, X, u, t)
+        weights, info = weigh(logspace.uniform_weights(self.n, X.dtype), likelihood, ceiling)
+        # after a collapse the next particles are drawn anew, all of equal weight
+        return Gaussian(*weighted_moments(weights, X)), replace(info, ess=jnp.where(info.collapsed, self.n, info.ess))
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
+        """Draw particles, move them, keep their moments."""
+        return self._unweighed(self._moved(key, model, state, u, t))
+
+    def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
+        """Draw particles, weigh them by the likelihood of y, keep their moments."""
+        return self._weighed(model, state.sample(key, self.n), y, u, t)
+
+    def step(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
+        """Go to the next time t and take in its measurement."""
+        if self.redraw:
+            return TwoStageFilter.step(self, key, model, state, y, u, t)
+        X = self._moved(random.child(key, random.PREDICT), model, state, u, t)
+        after, info = self._weighed(model, X, y, u, t)
+        return self.settle(self._unweighed(X), after, info, y)
