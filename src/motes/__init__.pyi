@@ -18,6 +18,7 @@ from .costs.measure import seconds_per_step as seconds_per_step
 from .filters import keep as keep
 from .filters.cost_reference import CostReferenceParticleFilter as CostReferenceParticleFilter
 from .filters.cubature_kalman import CubatureKalmanFilter as CubatureKalmanFilter
+from .filters.ensemble_kalman import EnsembleKalmanFilter as EnsembleKalmanFilter
 from .filters.explain import Explanation as Explanation
 from .filters.explain import explain as explain
 from .filters.extended_kalman import ExtendedKalmanFilter as ExtendedKalmanFilter

@@ -64,5 +64,6 @@ def examples():
     found["CostReferenceParticleFilter, local"] = mo.CostReferenceParticleFilter(
         n=300, q=1, phi=mo.InverseCost(), forgetting=0.5, scale=(0.7, 0.5), adaptive=True, selection="local"
     )
+    found["EnsembleKalmanFilter, stochastic"] = mo.EnsembleKalmanFilter(n=300, form="stochastic", inflation=1.02)
     found["MarginalizedParticleFilter, none"] = mo.MarginalizedParticleFilter(n=300, linear=())
     return found

@@ -112,7 +112,7 @@ class Gaussian(Law):
             seen: which components were measured, `(y,)` or `(y, n)`; None for all.
         """
         if seen is not None:
-            innovation, H, R = _zeroed(innovation, seen), _zeroed(H, seen), _among(R, seen)
+            innovation, H, R = zeroed(innovation, seen), zeroed(H, seen), among(R, seen)
         P = self.covariance
         cross = linalg.product(H, P)
         factor = linalg.cholesky(linalg.symmetric(linalg.add(linalg.product_transposed(cross, H), R)))
@@ -143,7 +143,7 @@ class Gaussian(Law):
         """
         components = innovation.shape[0] if seen is None else jnp.sum(seen, axis=0)
         if seen is not None:
-            innovation, R = _zeroed(innovation, seen), _among(R, seen)
+            innovation, R = zeroed(innovation, seen), among(R, seen)
         factor, noise = linalg.unit_factor(R)
         innovation = linalg.solve_lower(*_same_batch(factor, innovation, 1))
         parts = [linalg.solve_lower(*_same_batch(factor, part)) for _, part in slopes]
@@ -199,10 +199,10 @@ def log_normal_peak(residual: jax.Array, cov: jax.Array, seen: jax.Array | None 
 def _reduced(residual: jax.Array, cov: jax.Array, seen: jax.Array | None) -> tuple[jax.Array, jax.Array]:
     if seen is None:
         return residual, linalg.cholesky(cov)
-    return _zeroed(residual, seen), linalg.cholesky(_among(cov, seen))
+    return zeroed(residual, seen), linalg.cholesky(among(cov, seen))
 
 
-def _zeroed(rows: jax.Array, seen: jax.Array) -> jax.Array:
+def zeroed(rows: jax.Array, seen: jax.Array) -> jax.Array:
     """Rows `(y, ..., *n)` with zeros where the component is not seen."""
     if seen.ndim == 1:
         return jnp.where(seen.reshape(-1, *([1] * (rows.ndim - 1))), rows, 0)
@@ -211,7 +211,7 @@ def _zeroed(rows: jax.Array, seen: jax.Array) -> jax.Array:
     return jnp.where(seen if rows.ndim == 2 else seen[:, None], rows, 0)
 
 
-def _among(R: jax.Array, seen: jax.Array) -> jax.Array:
+def among(R: jax.Array, seen: jax.Array) -> jax.Array:
     """Covariance with unseen components made independent of the rest, with variance one."""
     both = seen[:, None] & seen[None]
     unit = jnp.eye(R.shape[0], dtype=R.dtype)

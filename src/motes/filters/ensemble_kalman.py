@@ -1,0 +1,97 @@
+"""Ensemble Kalman filter (Evensen 1994): a Kalman correction whose covariances are those of n members.
+
+1. Predict: move each member by the dynamics, noise included, and spread the members about their mean by the inflation.
+2. Gain K = C_xy (C_yy + R)^-1, with the sample covariances of members x and their predicted measurements y.
+3. Stochastic: x_i <- x_i + K (y + e_i - y_i) with e_i drawn from N(0, R) (Burgers, van Leeuwen, Evensen 1998). Deterministic: K moves the
+   mean, and a smaller gain the deviations, so that the covariance is the same without draws (Whitaker, Hamill 2002, equation 10).
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, random
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info, TwoStageFilter, as_moment_model, single
+from motes.laws.cloud import Cloud
+from motes.laws.conditional import matrix_over, over_particles
+from motes.laws.gaussian import among, log_normal, log_normal_peak, zeroed
+from motes.models.state_space import StateSpaceModel
+
+
+@record
+class EnsembleKalmanFilter(TwoStageFilter):
+    """Ensemble Kalman filter; its state is a `Cloud` of members of equal weight.
+
+    Attributes:
+        n: number of members.
+        form: "deterministic" (square root) or "stochastic" (perturbed measurements).
+        inflation: factor on the deviations of members from their mean after each prediction; a little above 1 makes up for the
+            covariance that few members miss.
+    """
+
+    n: int = static()
+    form: str = static(default="deterministic")
+    inflation: float = 1.0
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: a number is not positive, or the form is unknown.
+        """
+        checks.positive_integer("EnsembleKalmanFilter n", self.n)
+        checks.option("EnsembleKalmanFilter form", self.form, ("deterministic", "stochastic"))
+        checks.above_zero("EnsembleKalmanFilter inflation", self.inflation)
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for means and covariances of dynamics and sensor.
+
+        Raises:
+            MotesError: one of them is a Custom conditional.
+        """
+        return as_moment_model("EnsembleKalmanFilter", model)
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
+        """Draw n members from the initial law."""
+        return Cloud.equal(model.initial.sample(key, self.n))
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
+        """Move each member to time t, and inflate."""
+        moved = model.dynamics.sample(random.child(key, random.NOISE), state.particles, u, t)
+        middle = jnp.mean(moved, axis=1, keepdims=True)
+        return replace(state, particles=middle + self.inflation * (moved - middle))
+
+    def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+        """Move the members by y."""
+        sensor, X, seen = model.sensor, state.particles, ~jnp.isnan(y)
+        middle = jnp.mean(X, axis=1)
+        anchor = sensor.mean(middle, u, t)
+        # differences from one point, so that angles average across the cut
+        off = sensor.residual(over_particles(sensor.mean, X, u, t), anchor[:, None])
+        shift = jnp.mean(off, axis=1)
+        innovation = sensor.residual(y, anchor + shift)
+        R = matrix_over(sensor.cov, X, u, t)
+        R = among(jnp.mean(R, axis=2) if R.ndim == 3 else R, seen)
+        out, across = zeroed(off - shift[:, None], seen), X - middle[:, None]
+        share = max(self.n - 1, 1)
+        S = linalg.product_transposed(out, out) / share + R
+        root, cross = linalg.cholesky(S), linalg.product_transposed(out, across) / share
+        if self.form == "stochastic":
+            gain = linalg.transpose(linalg.solve(root, cross))
+            pulls = zeroed(innovation, seen)[:, None] + self._perturbations(key, R, seen) - out
+            after = X + linalg.times_vector(gain, pulls)
+        else:
+            # K = C_xy U^-T U^-1 and for deviations C_xy U^-T (U + V)^-1, with U and V the factors of S and R
+            half = linalg.solve_lower(root, cross)
+            moved = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root, zeroed(innovation, seen)))
+            less = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root + linalg.cholesky(R), out))
+            after = X + moved[:, None] - less
+        info = single(log_normal(innovation, S, seen), log_normal_peak(innovation, S, seen))
+        return replace(state, particles=after), replace(info, ess=jnp.full((), self.n, X.dtype))
+
+    def _perturbations(self, key: jax.Array, R: jax.Array, seen: jax.Array) -> jax.Array:
+        """Draw noise of covariance R for each member, `(y, n)`; a missing component uses no numbers, as if the model did not have it."""
+        noise = random.normal(key, (R.shape[0], self.n), R.dtype)[jnp.maximum(jnp.cumsum(seen) - 1, 0)]
+        return zeroed(linalg.times_vector(linalg.cholesky(R), zeroed(noise, seen)), seen)
