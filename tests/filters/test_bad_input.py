@@ -93,7 +93,7 @@ CASES = {
     "unscented kappa": (lambda: run_with(mo.UnscentedKalmanFilter(kappa=-2.0)), "UnscentedKalmanFilter kappa: expected a number above -2 (minus the number of states), got -2.0"),
     "one Hermite point": (lambda: mo.GaussHermiteFilter(degree=1), "GaussHermiteFilter degree: expected at least 2 points per state, got 1"),
     "too many Hermite points": (lambda: run_with(mo.GaussHermiteFilter(degree=400)), "GaussHermiteFilter degree: expected at most 100000 points, got 400^2"),
-    "no moments": (
+    "no moments for cubature": (
         lambda: run_with(mo.CubatureKalmanFilter(), model=good_model(sensor=mo.Custom(log_prob=lambda y, x, u, t: 0.0))),
         "CubatureKalmanFilter sensor: expected a mean function and a noise covariance, got Custom"),
     "iterations": (lambda: mo.ExtendedKalmanFilter(iterations=0), "ExtendedKalmanFilter iterations: expected a whole number of at least 1, got 0"),
