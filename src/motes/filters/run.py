@@ -54,7 +54,7 @@ def run(
     key = random.key_or_data(key)
     if not isinstance(filter, Filter):
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
-    ys = checked_measurements(filter, model, ys, inputs)
+    ys = checked_measurements(model, ys, inputs)
     first = None if after is None else after.last
     u = jax.tree.map(one_of, inputs)
     # functions that are equal for inputs of one shape need not be so for those that a run before had
@@ -187,7 +187,7 @@ def _apart(tree: Any) -> Any:
     return jax.lax.optimization_barrier(tree)
 
 
-def checked_measurements(filter: Filter, model: Any, ys: Any, inputs: Inputs) -> Any:
+def checked_measurements(model: Any, ys: Any, inputs: Inputs) -> Any:
     """Return the measurements in the model's type, or refuse what does not fit; see `run`."""
     if not isinstance(model, (StateSpaceModel, MixedLinearModel)):
         as_state_space("run", model)

@@ -126,7 +126,7 @@ class Stream:
     def _checked(self, y: Any) -> Any:
         if self._carry is None:
             inputs = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], self._inputs)
-            return checked_measurements(self.filter, self.model, np.atleast_1d(np.asarray(y))[None], inputs)[0]
+            return checked_measurements(self.model, np.atleast_1d(np.asarray(y))[None], inputs)[0]
         y = np.atleast_1d(np.asarray(y, self._carry.y.dtype))
         checks.shape("y", y, self._carry.y.shape, "(as the first one)")
         if np.isinf(y).any():

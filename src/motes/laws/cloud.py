@@ -70,6 +70,10 @@ class Cloud(Law):
 
 def draw(key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
     """Draw n independent indices `(n,)` int32 with the given normalized log weights."""
-    edges = jnp.cumsum(jnp.exp(log_weights))
-    points = random.uniform(key, (n,), log_weights.dtype) * edges[-1]
-    return jnp.clip(jnp.searchsorted(edges, points, side="right"), 0, log_weights.shape[0] - 1).astype(jnp.int32)
+    return pick(log_weights, random.uniform(key, (n,), log_weights.dtype))
+
+
+def pick(log_masses: jax.Array, points: jax.Array) -> jax.Array:
+    """Indices int32 that belong to uniform numbers in [0, 1), of any shape, by log masses `(n,)` that need not be normalized."""
+    edges = jnp.cumsum(jnp.exp(log_masses - jnp.max(log_masses)))
+    return jnp.clip(jnp.searchsorted(edges, points * edges[-1], side="right"), 0, log_masses.shape[0] - 1).astype(jnp.int32)

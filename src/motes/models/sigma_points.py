@@ -97,7 +97,13 @@ def moved(dynamics: Conditional, rule: SigmaPoints, law: Gaussian, u: Any, t: An
 
 def measured(sensor: Conditional, rule: SigmaPoints, law: Gaussian, y: jax.Array, u: Any, t: Any) -> Correction:
     """Condition a Gaussian on a measurement `(y,)` with the joint moments of state and measurement; NaN means not measured."""
+    prediction, slope, noise = affine(sensor, rule, law, u, t)
+    return law.corrected(sensor.residual(y, prediction), slope, noise, ~jnp.isnan(y))
+
+
+def affine(part: Conditional, rule: SigmaPoints, law: Gaussian, u: Any, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return the mean over a Gaussian `(z,)`, the slope `(z, x)` of the plane there and the noise about it `(z, z)`."""
     factor = linalg.cholesky(law.covariance)
-    plane = fitted(sensor, rule, law, factor, u, t)
+    plane = fitted(part, rule, law, factor, u, t)
     slope = linalg.transpose(linalg.solve_upper(factor, linalg.transpose(plane.tilt)))
-    return law.corrected(sensor.residual(y, plane.center + plane.offset), slope, plane.noise, ~jnp.isnan(y))
+    return plane.center + plane.offset, slope, plane.noise

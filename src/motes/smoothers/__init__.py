@@ -1,0 +1,1 @@
+"""Smoothers: laws of past states given all measurements."""

@@ -1,0 +1,74 @@
+"""Backward simulation (Godsill, Doucet, West 2004): whole trajectories are drawn from filtered clouds, the last state first.
+
+A trajectory starts at a particle of the last cloud, drawn by weight. Going back, its state at t is a particle of the cloud at t, drawn with
+probability w_i p(x_{t+1} | x_i). Unlike a genealogy, it may change over to other ancestors at every step.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, logspace, random
+from motes.core.record import record, static
+from motes.filters.history import History
+from motes.filters.interface import as_state_space
+from motes.laws.cloud import Cloud, draw, weighted_moments
+from motes.models.state_space import StateSpaceModel
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_density, ask_laws, at
+from motes.smoothers.parents import ExactParents, Move, Parents
+
+
+@record
+class BackwardSimulationSmoother(Smoother):
+    """Backward simulation; it works with clouds. Every state needs process noise, or no particle but the true ancestor fits.
+
+    Attributes:
+        n: number of trajectories.
+        parents: how a state's parent is drawn: `ExactParents()`, `RejectedParents()` or `SteppedParents()`.
+    """
+
+    n: int = static()
+    parents: Parents = ExactParents()
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number, or parents is no rule for drawing them.
+        """
+        checks.positive_integer("BackwardSimulationSmoother n", self.n)
+        if not isinstance(self.parents, Parents):
+            checks.refuse("BackwardSimulationSmoother parents", "a rule such as ExactParents()", type(self.parents).__name__)
+
+    def prepare(self, model: Any, history: History, u: Any) -> StateSpaceModel:
+        """Ask for clouds, and for dynamics with a density.
+
+        Raises:
+            MotesError: one is missing.
+        """
+        ask_laws("BackwardSimulationSmoother", history, Cloud, "Use RauchTungStriebelSmoother or RaoBlackwellizedSmoother.")
+        model = as_state_space("BackwardSimulationSmoother", model)
+        ask_density("BackwardSimulationSmoother", model)
+        self.parents.check(model.dynamics)
+        return model
+
+    def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
+        """Draw trajectories backward."""
+        clouds: Cloud = history.law
+        last = at(clouds, -1)
+        chosen = draw(random.child(key, random.INITIAL), last.log_weights, self.n)
+
+        def back(held: tuple[jax.Array, jax.Array], row: Any) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+            after, ancestors = held
+            cloud, u, t = row
+            parents = self.parents.draw(random.step_key(key, t), cloud, Move(model.dynamics, u, t), after, ancestors)
+            return (cloud.particles[:, parents], cloud.ancestors[parents]), cloud.particles[:, parents]
+
+        start = (last.particles[:, chosen], last.ancestors[chosen])
+        rows = jax.tree.map(lambda leaf: leaf[:-1], clouds), *jax.tree.map(lambda leaf: leaf[1:], (steps.u, steps.t))
+        _, earlier = jax.lax.scan(back, start, rows, reverse=True)
+        paths = jnp.concatenate([earlier, start[0][None]])
+        equal = logspace.uniform_weights(self.n, paths.dtype)
+        mean, cov = jax.vmap(lambda X: weighted_moments(equal, X))(paths)
+        return Smoothed(mean, cov, paths, equal)

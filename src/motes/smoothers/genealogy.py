@@ -1,0 +1,78 @@
+"""Genealogy smoothers: the filter's own ancestors, followed back (Kitagawa 1996); a fixed lag limits how far.
+
+Exact in the limit of many particles, and free. But particles of a late step descend from few of an early one: the whole genealogy holds
+one path only, before a while. With a lag L a state is smoothed with the measurements up to L steps later, which costs a little bias where
+later ones still tell something of it, and saves the variance (Kitagawa, Sato 2001).
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks
+from motes.core.record import record, static
+from motes.filters.history import History
+from motes.filters.interface import as_state_space
+from motes.laws.cloud import Cloud, weighted_moments
+from motes.models.state_space import StateSpaceModel
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws, at
+
+
+@record
+class GenealogySmoother(Smoother):
+    """Genealogy smoother; it works with clouds and needs no density of the dynamics. With a lag it gives no paths.
+
+    Attributes:
+        lag: number of steps beyond its own whose measurements count for a state; None for all.
+    """
+
+    lag: int | None = static(default=None)
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: the lag is not a positive whole number.
+        """
+        if self.lag is not None:
+            checks.positive_integer("GenealogySmoother lag", self.lag)
+
+    def prepare(self, model: Any, history: History, u: Any) -> StateSpaceModel:
+        """Ask for clouds.
+
+        Raises:
+            MotesError: the history has none.
+        """
+        ask_laws("GenealogySmoother", history, Cloud, "Use RaoBlackwellizedSmoother for marginalized filters.")
+        return as_state_space("GenealogySmoother", model)
+
+    def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
+        """Follow the ancestors."""
+        clouds: Cloud = history.law
+        return _followed(clouds) if self.lag is None else _lagged(clouds, self.lag)
+
+
+def _followed(clouds: Cloud) -> Smoothed:
+    weights = clouds.log_weights[-1]
+
+    def back(own: jax.Array, row: Any) -> tuple[jax.Array, jax.Array]:
+        particles, ancestors = row
+        return ancestors[own], particles[:, own]
+
+    everyone = jnp.arange(weights.shape[0], dtype=jnp.int32)
+    _, paths = jax.lax.scan(back, everyone, (clouds.particles, clouds.ancestors), reverse=True)
+    mean, cov = jax.vmap(lambda X: weighted_moments(weights, X))(paths)
+    return Smoothed(mean, cov, paths, weights)
+
+
+def _lagged(clouds: Cloud, lag: int) -> Smoothed:
+    count, n = clouds.log_weights.shape
+    everyone = jnp.arange(n, dtype=jnp.int32)
+
+    def moments(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        late = jnp.minimum(t + lag, count - 1)
+        own = jax.lax.fori_loop(0, late - t, lambda k, own: clouds.ancestors[late - k][own], everyone)
+        return weighted_moments(clouds.log_weights[late], at(clouds.particles, t)[:, own])
+
+    return Smoothed(*jax.lax.map(moments, jnp.arange(count)))

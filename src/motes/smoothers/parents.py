@@ -1,0 +1,163 @@
+"""How the parent of a state at the next step is drawn from a cloud: P(i) ~ w_i p(x' | x_i), a value apart from the smoother."""
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, random
+from motes.core.record import record, static
+from motes.laws.cloud import Cloud, draw, pick
+from motes.laws.conditional import AdditiveGaussian, Conditional
+
+PAIRS_AT_ONCE = 4_000_000
+"""So many densities of pairs are held in memory at a time."""
+
+
+class Move(NamedTuple):
+    """A move of a cloud from one step to the next.
+
+    Attributes:
+        dynamics: with a density.
+        u: inputs of the step moved to.
+        t: index of the step moved to.
+    """
+
+    dynamics: Conditional
+    u: Any
+    t: Any
+
+    def log_prob(self, after: jax.Array, before: jax.Array) -> jax.Array:
+        """Log density of states `(x, m)` given a state each `(x, m)`, as `(m,)`; or of one state `(x,)` given each of n, as `(n,)`."""
+        return self.dynamics.log_prob(after, before, self.u, self.t)
+
+
+class Parents(ABC):
+    """A way of drawing parents."""
+
+    @abstractmethod
+    def draw(self, key: jax.Array, cloud: Cloud, move: Move, after: jax.Array, ancestors: jax.Array) -> jax.Array:
+        """Draw a parent for each of m states.
+
+        Args:
+            key: JAX key.
+            cloud: law of n particles at the step before.
+            move: the move that led to the states.
+            after: the states, `(x, m)`.
+            ancestors: a particle each that they may have come from, `(m,)`.
+
+        Returns:
+            Indices `(m,)` int32.
+        """
+
+    def check(self, dynamics: Conditional) -> None:  # noqa: B027 (most need nothing more than a density)
+        """Refuse dynamics that the rule cannot work with."""
+
+
+def _exact(cloud: Cloud, move: Move, after: jax.Array, point: jax.Array) -> jax.Array:
+    """Parent of one state `(x,)` that belongs to the uniform number."""
+    return pick(cloud.log_weights + move.log_prob(after, cloud.particles), point)
+
+
+@record
+class ExactParents(Parents):
+    """All n weights are worked out for each state: m n densities (Godsill, Doucet, West 2004)."""
+
+    def draw(self, key: jax.Array, cloud: Cloud, move: Move, after: jax.Array, ancestors: jax.Array) -> jax.Array:
+        """See `Parents`."""
+        points = random.uniform(key, (after.shape[-1],), after.dtype)
+        at_once = max(1, min(after.shape[-1], PAIRS_AT_ONCE // cloud.log_weights.shape[0]))
+        return jax.lax.map(lambda pair: _exact(cloud, move, *pair), (after.T, points), batch_size=at_once)
+
+
+@record
+class RejectedParents(Parents):
+    """Parents are proposed by weight and accepted by density against its largest value (Douc, Garivier, Moulines, Olsson 2011).
+
+    As exact as `ExactParents`: states that accept none of the trials get a parent by its rule. Cheap where the dynamics' noise is wide.
+
+    Attributes:
+        trials: most proposals for each state.
+    """
+
+    trials: int = static(default=32)
+
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: trials is not a positive whole number.
+        """
+        checks.positive_integer("RejectedParents trials", self.trials)
+
+    def check(self, dynamics: Conditional) -> None:
+        """Ask for a density whose largest value is known.
+
+        Raises:
+            MotesError: it is not.
+        """
+        if not isinstance(dynamics, AdditiveGaussian):
+            checks.refuse("RejectedParents dynamics", "additive Gaussian noise (the largest density must be known)",
+                          type(dynamics).__name__, "Use ExactParents or SteppedParents.")
+
+    def draw(self, key: jax.Array, cloud: Cloud, move: Move, after: jax.Array, ancestors: jax.Array) -> jax.Array:
+        """See `Parents`."""
+        m = after.shape[-1]
+        most = jnp.max(move.dynamics.ceiling(after[:, 0], cloud.particles, move.u, move.t))
+
+        def go_on(held: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+            trial, _, found = held
+            return (trial < self.trials) & ~jnp.all(found)
+
+        def propose(held: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+            trial, parents, found = held
+            own = random.step_key(key, trial)
+            proposed = draw(random.child(own, random.RESAMPLE), cloud.log_weights, m)
+            chance = jnp.exp(move.log_prob(after, cloud.particles[:, proposed]) - most)
+            accepted = random.uniform(random.child(own, random.NOISE), (m,), after.dtype) < chance
+            return trial + 1, jnp.where(found, parents, proposed), found | accepted
+
+        start = (jnp.int32(0), jnp.zeros((m,), jnp.int32), jnp.zeros((m,), bool))
+        _, parents, found = jax.lax.while_loop(go_on, propose, start)
+        points = random.uniform(random.child(key, random.MEASURE), (m,), after.dtype)
+
+        def searched(row: tuple[jax.Array, ...]) -> jax.Array:
+            parent, known, state, point = row
+            return jax.lax.cond(known, lambda: parent, lambda: _exact(cloud, move, state, point))
+
+        return jax.lax.map(searched, (parents, found, after.T, points))
+
+
+@record
+class SteppedParents(Parents):
+    """A few steps of an independence sampler from the true ancestor (Bunch, Godsill 2013): the cheapest, exact only for many particles.
+
+    Attributes:
+        steps: number of steps; two do for long runs (Dau, Chopin 2023).
+    """
+
+    steps: int = static(default=4)
+
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: steps is not a positive whole number.
+        """
+        checks.positive_integer("SteppedParents steps", self.steps)
+
+    def draw(self, key: jax.Array, cloud: Cloud, move: Move, after: jax.Array, ancestors: jax.Array) -> jax.Array:
+        """See `Parents`."""
+        m = after.shape[-1]
+
+        def step(k: jax.Array, held: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            parents, density = held
+            own = random.step_key(key, k)
+            proposed = draw(random.child(own, random.RESAMPLE), cloud.log_weights, m)
+            other = move.log_prob(after, cloud.particles[:, proposed])
+            accepted = jnp.log(random.uniform(random.child(own, random.NOISE), (m,), after.dtype)) < other - density
+            return jnp.where(accepted, proposed, parents), jnp.where(accepted, other, density)
+
+        start = ancestors, move.log_prob(after, cloud.particles[:, ancestors])
+        return jax.lax.fori_loop(0, self.steps, step, start)[0]

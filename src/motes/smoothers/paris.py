@@ -1,0 +1,136 @@
+"""PaRIS, the particle-based rapid incremental smoother (Olsson, Westerborn 2017): smoothed sums over time, while the filter runs.
+
+For S_t = h(x_0, x_1) + ... + h(x_{t-1}, x_t) each particle carries an estimate s_i of E[S_t | x_t = x_i, y_0 .. y_t]:
+
+    s_i <- mean over k of (s_j + h(x_j, x_i')),   j drawn k times with P(j) ~ w_j p(x_i' | x_j)
+
+Its weighted mean is E[S_t | y_0 .. y_t]. Two draws keep the variance from growing as that of a genealogy does; one does not.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, random
+from motes.core.record import record, static
+from motes.filters.interface import Filter, Info
+from motes.filters.particle import ParticleFilter
+from motes.laws.cloud import Cloud
+from motes.laws.law import Law
+from motes.models.state_space import StateSpaceModel
+from motes.resampling.policy import ESS, Policy
+from motes.resampling.schemes import Scheme, Systematic
+from motes.smoothers.interface import ask_density
+from motes.smoothers.parents import ExactParents, Move, Parents
+
+
+@record
+class AdditiveCloud(Law):
+    """A cloud whose particles carry smoothed sums.
+
+    Attributes:
+        cloud: the filtered law.
+        sums: expected sums given each particle, `(d, n)`.
+    """
+
+    cloud: Cloud
+    sums: jax.Array
+
+    @property
+    def log_weights(self) -> jax.Array:
+        """Normalized, `(n,)`."""
+        return self.cloud.log_weights
+
+    def total(self) -> jax.Array:
+        """Expected sums given all measurements so far, `(d,)`."""
+        return jnp.matmul(self.sums, self.cloud.weights, precision=jax.lax.Precision.HIGHEST)
+
+    def mean(self) -> jax.Array:
+        """Mean of the state, `(x,)`."""
+        return self.cloud.mean()
+
+    def cov(self) -> jax.Array:
+        """Covariance of the state, `(x, x)`."""
+        return self.cloud.cov()
+
+    def sample(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n states, `(x, n)`."""
+        return self.cloud.sample(key, n)
+
+
+@record
+class PaRIS(Filter):
+    """A particle filter that smooths sums on its way; its state is an `AdditiveCloud`, whose `total()` they are.
+
+    Keep them of each step with `keep=lambda law: {"mean": law.mean(), "total": law.total()}`.
+
+    Attributes:
+        n: number of particles.
+        function: `(before, after, u, t)` of two states `(x,)`, inputs and index of the later step; gives what a move adds, `(d,)`.
+        size: d.
+        draws: parents drawn for each particle.
+        parents: how they are drawn: `ExactParents()`, `RejectedParents()` or `SteppedParents()`.
+        scheme: how ancestors are drawn.
+        policy: when to resample, at the start of a step.
+    """
+
+    n: int = static()
+    function: Callable[..., jax.Array] = static()
+    size: int = static()
+    draws: int = static(default=2)
+    parents: Parents = ExactParents()
+    scheme: Scheme = Systematic()
+    policy: Policy = ESS(0.5)
+    look_ahead = True
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: a number is not a positive whole one, or function is none.
+        """
+        for name in ("n", "size", "draws"):
+            checks.positive_integer(f"PaRIS {name}", getattr(self, name))
+        if not callable(self.function):
+            checks.refuse("PaRIS function", "a function (before, after, u, t) of two states", type(self.function).__name__)
+
+    @property
+    def _filter(self) -> ParticleFilter:
+        return ParticleFilter(self.n, scheme=self.scheme, policy=self.policy, on_collapse=self.on_collapse)
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for dynamics that can be drawn from and have a density, and a sensor with a density.
+
+        Raises:
+            MotesError: one is missing.
+        """
+        model = self._filter.prepare(model, u)
+        ask_density("PaRIS", model)
+        self.parents.check(model.dynamics)
+        return model
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> AdditiveCloud:
+        """Draw n particles from the initial law; sums are zero."""
+        cloud = self._filter.init(key, model)
+        return AdditiveCloud(cloud, jnp.zeros((self.size, self.n), cloud.particles.dtype))
+
+    def update(self, key: jax.Array, model: Any, state: AdditiveCloud, y: jax.Array, u: Any, t: Any) -> tuple[AdditiveCloud, Info]:
+        """Take in the measurement y `(y,)` of the present time."""
+        cloud, info = self._filter.update(key, model, state.cloud, y, u, t)
+        return AdditiveCloud(cloud, state.sums), info
+
+    def step(self, key: jax.Array, model: Any, state: AdditiveCloud, y: jax.Array, u: Any, t: Any) -> tuple[AdditiveCloud, Info]:
+        """Go to the next time t, take in its measurement, and add what the move brings."""
+        cloud, info = self._filter.step(key, model, state.cloud, y, u, t)
+        after, ancestors = (jnp.concatenate([leaf] * self.draws, axis=-1) for leaf in (cloud.particles, cloud.ancestors))
+        parents = self.parents.draw(random.child(key, random.MEASURE), state.cloud, Move(model.dynamics, u, t), after, ancestors)
+        added = jax.vmap(lambda x, z: self._added(x, z, u, t), in_axes=-1, out_axes=-1)(state.cloud.particles[:, parents], after)
+        sums = (state.sums[:, parents] + added).reshape(self.size, self.draws, self.n)
+        return AdditiveCloud(cloud, jnp.mean(sums, axis=1)), info
+
+    def _added(self, before: jax.Array, after: jax.Array, u: Any, t: Any) -> jax.Array:
+        added = jnp.asarray(self.function(before, after, u, t)).astype(after.dtype)
+        checks.shape("PaRIS function", added, (self.size,), "(the size given)")
+        return added

@@ -1,0 +1,122 @@
+"""Rao-Blackwellized backward simulation (Fong, Godsill, Doucet, West 2002; Lindsten, Schon 2013), after a marginalized particle filter.
+
+Trajectories of both parts are drawn backward: a particle with probability w_i N(x'; f + A l_i, A P_i A' + Q), where x' = (x_p', x_k') is
+the state drawn at the next step; then x_k from the Gaussian of that particle, conditioned on x'. Moments are those of these Gaussians, not
+of the draws, so that less of them is left to chance.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, logspace, random
+from motes.core.record import record, replace, static
+from motes.filters.history import History
+from motes.laws.cloud import draw, pick
+from motes.laws.gaussian import Gaussian, log_normal
+from motes.laws.marginal_cloud import MarginalCloud
+from motes.models.split import SplitModel, split
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws, at
+from motes.smoothers.parents import PAIRS_AT_ONCE
+
+
+@record
+class RaoBlackwellizedSmoother(Smoother):
+    """Rao-Blackwellized backward simulation; it works with marginal clouds. Every particle state needs process noise.
+
+    Attributes:
+        n: number of trajectories.
+    """
+
+    n: int = static()
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number.
+        """
+        checks.positive_integer("RaoBlackwellizedSmoother n", self.n)
+
+    def prepare(self, model: Any, history: History, u: Any) -> SplitModel:
+        """Split the model as the filter did.
+
+        Raises:
+            MotesError: the history has no marginal clouds, or the model does not split so.
+        """
+        ask_laws("RaoBlackwellizedSmoother", history, MarginalCloud, "Use BackwardSimulationSmoother for clouds.")
+        state: MarginalCloud = history.state
+        own = state.particles.shape[0]
+        return split(model, tuple(i for i, place in enumerate(state.order) if place >= own), u)
+
+    def smooth(self, key: jax.Array, model: SplitModel, history: History, steps: Steps) -> Smoothed:
+        """Draw trajectories of both parts backward."""
+        clouds: MarginalCloud = history.law
+        last: MarginalCloud = at(clouds, -1)
+        opening = random.step_key(key, steps.t[-1])
+        chosen = last.picked(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
+
+        def back(after: jax.Array, row: Any) -> tuple[jax.Array, tuple[jax.Array, MarginalCloud]]:
+            cloud, u, t, t_after = row
+            own = random.step_key(key, t)
+            chosen = self._informed(random.child(own, random.RESAMPLE), model, cloud, after, u, t_after)
+            states = self._drawn(random.child(own, random.NOISE), chosen)
+            return states, (states, chosen)
+
+        start = self._drawn(random.child(opening, random.NOISE), chosen)
+        rows = jax.tree.map(lambda leaf: leaf[:-1], clouds), jax.tree.map(lambda leaf: leaf[1:], steps.u), steps.t[:-1], steps.t[1:]
+        _, earlier = jax.lax.scan(back, start, rows, reverse=True)
+        full = replace(chosen, kalman=_each(chosen.kalman, self.n))
+        paths, laws = jax.tree.map(lambda some, one: jnp.concatenate([some, one[None]]), earlier, (start, full))
+        mean, cov = jax.vmap(lambda law: (law.mean(), law.cov()))(laws)
+        return Smoothed(mean, cov, linalg.take(paths, last.order, axis=1), logspace.uniform_weights(self.n, mean.dtype))
+
+    def _drawn(self, key: jax.Array, cloud: MarginalCloud) -> jax.Array:
+        """One draw of (x_p, x_k) for each particle."""
+        return jnp.concatenate([cloud.particles, cloud.kalman.sample(key, self.n)])
+
+    def _informed(self, key: jax.Array, model: SplitModel, cloud: MarginalCloud, after: jax.Array, u: Any, t: Any) -> MarginalCloud:
+        """Draw a particle for each of the states `(x_p + x_k, m)` that follow, and condition its Gaussian on what follows."""
+        f, A, Q = _stacked(model, cloud.particles, u, t)
+        expected = cloud.kalman.through(A, f, Q)
+        points = random.uniform(key, (self.n,), f.dtype)
+
+        def parent(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
+            state, point = pair
+            logits = cloud.log_weights + log_normal(state[:, None] - expected.center, expected.covariance)
+            return pick(logits, point)
+
+        at_once = max(1, min(self.n, PAIRS_AT_ONCE // cloud.log_weights.shape[0]))
+        parents = jax.lax.map(parent, (after.T, points), batch_size=at_once)
+        chosen = cloud.picked(parents)
+        f, A, Q, prediction = (leaf[..., parents] if batched else leaf for leaf, batched in (
+            (f, True), (A, A.ndim == 3), (Q, Q.ndim == 3), (expected.center, True)))  # fmt: skip
+        informed = chosen.kalman.corrected(after - prediction, A, Q).law
+        return replace(chosen, kalman=_each(informed, self.n))
+
+
+def _each(laws: Gaussian, n: int) -> Gaussian:
+    """Give each law a covariance of its own."""
+    cov = laws.covariance
+    return laws if cov.ndim == 3 else Gaussian(laws.center, jnp.broadcast_to(cov[..., None], (*cov.shape, n)))
+
+
+def _stacked(model: SplitModel, X_p: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Dynamics of both parts as one: (x_p, x_k)' = f + A x_k + noise of covariance Q."""
+    example = X_p[:, 0]
+    own, other = (model.over(part, X_p, example, u, t) for part in ("particle", "kalman"))
+    cross = model.cross_cov(X_p, example, u, t)
+    f = jnp.concatenate([own.f, other.f])
+    A = _blocks([[own.A], [other.A]])
+    nothing = jnp.zeros((own.f.shape[0], other.f.shape[0]), f.dtype)
+    cross = nothing if cross is None else cross
+    return f, A, _blocks([[own.Q, cross], [linalg.transpose(cross), other.Q]])
+
+
+def _blocks(rows: list[list[jax.Array]]) -> jax.Array:
+    """Put blocks together, some with a particle axis and some without."""
+    n = max((block.shape[2] for row in rows for block in row if block.ndim == 3), default=0)
+    if n:
+        rows = [[block if block.ndim == 3 else jnp.broadcast_to(block[..., None], (*block.shape, n)) for block in row] for row in rows]
+    return jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows])

@@ -1,0 +1,60 @@
+"""One verb for all smoothers."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, random
+from motes.core.record import replace
+from motes.core.types import Inputs, KeyLike
+from motes.filters.history import History
+from motes.filters.run import checked_measurements
+from motes.models.canonical import canonical, one_of
+from motes.models.state_space import Previous, StateSpaceModel, check_inputs, decorrelated, step_inputs
+from motes.smoothers.interface import Smoothed, Smoother, Steps
+
+
+def smooth(
+    key: KeyLike, smoother: Smoother, model: Any, history: History, ys: jax.Array | None = None, inputs: Inputs = None
+) -> Smoothed:
+    """Smooth a run: the law of each state given the measurements of all steps.
+
+    Pure: it can be jitted and vmapped. The second call with the same kinds of arguments does not compile again.
+
+    Args:
+        key: JAX key or integer seed; another than that of the run.
+        smoother: the smoother, such as `RauchTungStriebelSmoother()`.
+        model: the model of the run.
+        history: of the run, from its first step to its last (`joined` if it was cut), with laws kept where the smoother needs them.
+        ys: measurements of the run `(t, y)`, for smoothers that look at them and for models whose noises are correlated.
+        inputs: inputs of the run, with the time axis first.
+
+    Raises:
+        MotesError: smoother, model, history, measurements and inputs do not fit each other.
+    """
+    if not isinstance(smoother, Smoother):
+        checks.refuse("smooth smoother", "a smoother such as RauchTungStriebelSmoother()", type(smoother).__name__)
+    if not isinstance(history, History):
+        checks.refuse("smooth history", "what mo.run gave", type(history).__name__)
+    count = history.info.ess.shape[0]
+    check_inputs(inputs, count, "history")
+    if ys is not None:
+        ys = checked_measurements(model, ys, inputs)
+        checks.shape("smooth ys", ys, (count, history.last.y.shape[0]), "(as in the run)")
+    elif isinstance(model, StateSpaceModel) and model.noise_cross_cov is not None:
+        checks.refuse("smooth ys", "the measurements of the run (its noises are correlated)", "None")
+    known = canonical(model, jax.tree.map(one_of, inputs), history.last.y)
+    # the label says with which knobs, and would make each filter compile anew
+    found = _smooth(random.key_or_data(key), smoother, known, replace(history, label=""), ys, inputs)
+    return replace(found, names=history.names, label=repr(smoother))
+
+
+@jax.jit
+def _smooth(key: jax.Array, smoother: Smoother, model: Any, history: History, ys: jax.Array | None, inputs: Inputs) -> Smoothed:
+    if isinstance(model, StateSpaceModel) and model.noise_cross_cov is not None and ys is not None:
+        before, y_before = (jax.tree.map(lambda leaf: jnp.concatenate([leaf[:1], leaf[:-1]]), tree) for tree in (inputs, ys))
+        model, inputs = decorrelated(model), Previous(inputs, before, y_before)
+    count = history.info.ess.shape[0]
+    prepared = smoother.prepare(model, history, step_inputs(inputs, 0))
+    return smoother.smooth(random.as_key(key), prepared, history, Steps(inputs, history.start + jnp.arange(count, dtype=jnp.int32), ys))

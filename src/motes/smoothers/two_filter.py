@@ -1,0 +1,100 @@
+"""Two-filter smoother (Briers, Doucet, Maskell 2010): the filter, and a second one that takes the measurements from the last to the first.
+
+The second filter is after p(y_t .. y_T | x_t), which need not be a density of x_t; times g_t, a Gaussian about the filtered law, it is one.
+With points z_k drawn from g_t at each step, its weights are, going back,
+
+    v_k = p(y_t | z_k) sum_j v'_j p(z'_j | z_k) / g_{t+1}(z'_j)
+
+and those of the smoothed law are v_k p(z_k | y_0 .. y_{t-1}) / g_t(z_k), the predicted density a sum over the particles at t - 1.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, logspace, random
+from motes.core.record import record, static
+from motes.filters.history import History
+from motes.filters.interface import as_particle_model
+from motes.laws.cloud import Cloud, weighted_moments
+from motes.laws.gaussian import Gaussian
+from motes.models.state_space import StateSpaceModel
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_density, ask_laws
+from motes.smoothers.parents import PAIRS_AT_ONCE, Move
+
+
+@record
+class TwoFilterSmoother(Smoother):
+    """Two-filter smoother; it works with clouds, looks at the measurements, and takes some n^2 densities per step.
+
+    Attributes:
+        n: number of points of the second filter.
+        inflation: factor on the filtered covariance for the law g from which the points come, at least 1.
+    """
+
+    n: int = static()
+    inflation: float = 1.5
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number, or the inflation is below 1.
+        """
+        checks.positive_integer("TwoFilterSmoother n", self.n)
+        if checks.is_concrete(self.inflation) and not self.inflation >= 1:
+            checks.refuse("TwoFilterSmoother inflation", "a factor of at least 1", self.inflation)
+
+    def prepare(self, model: Any, history: History, u: Any) -> StateSpaceModel:
+        """Ask for clouds and for densities of dynamics, sensor and initial law.
+
+        Raises:
+            MotesError: one is missing.
+        """
+        ask_laws("TwoFilterSmoother", history, Cloud, "Use RauchTungStriebelSmoother or RaoBlackwellizedSmoother.")
+        model = as_particle_model("TwoFilterSmoother", model, transition_density=False)
+        ask_density("TwoFilterSmoother", model)
+        return model
+
+    def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
+        """Run the second filter and bring both together at each step."""
+        if steps.y is None:
+            checks.refuse("TwoFilterSmoother ys", "the measurements of the run (t, y)", "None", "Give them to smooth.")
+        clouds: Cloud = history.law
+        around = jax.vmap(lambda cloud: Gaussian(cloud.mean(), self.inflation * cloud.cov()))(clouds)
+        points = jax.vmap(lambda g, t: g.sample(random.step_key(key, t), self.n))(around, steps.t)
+        log_g = jax.vmap(Gaussian.log_prob)(around, points)
+        likelihood = jax.vmap(lambda z, row: _taken_in(model, z, row))(points, steps)
+        before, after = (jax.tree.map(lambda leaf, cut=cut: leaf[cut], (points, log_g, steps)) for cut in (slice(None, -1), slice(1, None)))
+
+        def back(held: jax.Array, row: Any) -> tuple[jax.Array, jax.Array]:
+            (z, _, _), (z_after, log_g_after, step), seen = row
+            move = Move(model.dynamics, step.u, step.t)
+            ahead = _summed(lambda one: move.log_prob(z_after, jnp.broadcast_to(one[:, None], z_after.shape)), held - log_g_after, z)
+            weights = logspace.normalize(seen + ahead)[0]
+            return weights, weights
+
+        last = logspace.normalize(likelihood[-1])[0]
+        _, earlier = jax.lax.scan(back, last, (before, after, likelihood[:-1]), reverse=True)
+
+        def arriving(row: Any) -> jax.Array:
+            cloud, (z, _, step) = row
+            return _summed(lambda one: Move(model.dynamics, step.u, step.t).log_prob(one, cloud.particles), cloud.log_weights, z)
+
+        predicted = jax.lax.map(arriving, (jax.tree.map(lambda leaf: leaf[:-1], clouds), after))
+        predicted = jnp.concatenate([model.initial.log_prob(points[0])[None], predicted])
+        weights = jnp.concatenate([earlier, last[None]]) + predicted - log_g
+        return Smoothed(*jax.vmap(lambda w, z: weighted_moments(logspace.normalize(w)[0], z))(weights, points))
+
+
+def _taken_in(model: StateSpaceModel, z: jax.Array, row: Steps) -> jax.Array:
+    assert row.y is not None
+    return jnp.where(jnp.all(jnp.isnan(row.y)), 0, model.sensor.log_prob(row.y, z, row.u, row.t))
+
+
+def _summed(log_prob: Callable[[jax.Array], jax.Array], log_weights: jax.Array, z: jax.Array) -> jax.Array:
+    """Log of the weighted sum of densities, from each of the points z `(x, n)`."""
+    at_once = max(1, min(z.shape[-1], PAIRS_AT_ONCE // log_weights.shape[0]))
+    return jax.lax.map(lambda one: jax.nn.logsumexp(log_prob(one) + log_weights), z.T, batch_size=at_once)
