@@ -38,6 +38,8 @@ class Info:
         invalid: number of particles whose likelihood was not a number; they get no weight.
         lowest: smallest log likelihood over the particles.
         highest: largest log likelihood over the particles.
+        gap: nats by which the best particle falls short of a perfect fit; half the squared normalized innovation of filters whose law has
+            no weights; 0 where the largest possible likelihood is not known.
     """
 
     log_evidence: jax.Array
@@ -46,6 +48,7 @@ class Info:
     invalid: jax.Array
     lowest: jax.Array
     highest: jax.Array
+    gap: jax.Array
 
 
 def weigh(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, Info]:
@@ -71,7 +74,7 @@ def judged(found: jax.Array) -> Info:
     log_evidence, ess, invalid, lowest, highest, gap = found
     unresolved = jnp.abs(highest) * jnp.finfo(found.dtype).eps > 1
     collapsed = ~jnp.isfinite(log_evidence) | (gap > HOPELESS) | unresolved
-    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest)
+    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest, gap)
 
 
 def single(log_evidence: jax.Array, peak: jax.Array) -> Info:
@@ -178,7 +181,7 @@ class Filter(ABC):
             fallback = jax.tree.map(lambda kept, wide: jnp.where(missing, kept, wide), before, inflated)
         refused = missing | info.collapsed
         state = jax.tree.map(lambda old, new: jnp.where(refused, old, new), fallback, after)
-        silent = {name: jnp.where(missing, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest")}
+        silent = {name: jnp.where(missing, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest", "gap")}
         if hasattr(before, "log_weights"):
             silent["ess"] = jax.lax.cond(refused, lambda: logspace.effective_size(before.log_weights), lambda: info.ess)
         return state, replace(info, collapsed=info.collapsed & ~missing, **silent)

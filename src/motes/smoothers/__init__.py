@@ -1,1 +1,1 @@
-"""Smoothers: laws of past states given all measurements."""
+"""Rank 5: laws of past states given all measurements."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from motes.core import checks, engine, linalg
 from motes.core.record import replace
+from motes.diagnostics.consistency import normalized_errors
 from motes.filters.interface import Info
 from motes.filters.run import run
 from motes.laws.conditional import wrap
@@ -126,19 +127,9 @@ def _judged(
 ) -> dict[str, jax.Array]:
     means, covs, info = found
     errors, covs = wrap((means - xs).T, angles), jnp.moveaxis(covs, 0, -1)
-    nees = [_normalized(linalg.take(errors, block), linalg.take(linalg.take(covs, block), block, axis=1)) for block in blocks]
+    nees = [normalized_errors(linalg.take(errors, block), linalg.take(linalg.take(covs, block), block, axis=1)) for block in blocks]
     first = jnp.where(jnp.any(info.collapsed), jnp.argmax(info.collapsed), -1).astype(jnp.int32)
     return {"estimates": means, "nees": jnp.stack(nees, axis=1), "ess": jnp.min(info.ess), "collapsed": first}
-
-
-def _normalized(errors: jax.Array, covs: jax.Array) -> jax.Array:
-    """Return e' P^-1 e of each step for errors `(x, t)` and covariances `(x, x, t)`; infinite where an error has no variance."""
-    lower = linalg.cholesky(covs)
-    scaled = linalg.solve_lower(lower, errors)
-    unexplained = jnp.abs(errors - linalg.times_vector(lower, scaled))
-    size = jnp.abs(errors) + jnp.sqrt(jnp.sum(lower**2, axis=1))
-    wrong = jnp.any(unexplained > 1e3 * jnp.finfo(errors.dtype).eps * size, axis=0)
-    return jnp.where(wrong, jnp.inf, jnp.sum(scaled**2, axis=0))
 
 
 def built(factory: str) -> Experiment:

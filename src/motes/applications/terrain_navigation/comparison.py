@@ -20,6 +20,7 @@ from motes.applications.terrain_navigation.scenario import LOST, Flight
 from motes.bounds.kalman_at_truth import kalman_at_truth
 from motes.core.progress import tracked
 from motes.core.record import replace
+from motes.diagnostics.consistency import chi_square_band
 from motes.filters.interface import Filter
 from motes.filters.kernel import KalmanParticleKernelFilter
 from motes.filters.marginalized import MarginalizedParticleFilter
@@ -188,7 +189,7 @@ def judged(name: str, flown: Flown, bound: np.ndarray) -> tuple[str | int | floa
         return *told, None, None, None, None, 1e3 * flown.seconds
     rmse = np.sqrt(np.mean(far[kept, -LAST:] ** 2))
     averages = flown.nees[kept, -LAST:].mean(axis=0)
-    low, high = chi2.ppf([0.005, 0.995], 2 * kept.sum()) / kept.sum()
+    low, high = chi_square_band(2, int(kept.sum()))
     in_band = 100 * np.mean((averages > low) & (averages < high))
     of_bound = rmse / np.sqrt(np.mean(least[-LAST:] ** 2))
     return *told, float(rmse), float(of_bound), float(averages.mean() / 2), float(in_band), 1e3 * flown.seconds

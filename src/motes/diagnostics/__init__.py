@@ -1,0 +1,1 @@
+"""Rank 5: what a run tells of its own trustworthiness."""

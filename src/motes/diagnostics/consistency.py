@@ -1,0 +1,96 @@
+"""Whether errors and surprises have the size that the filter claims (Bar-Shalom, Li, Kirubarajan 2001, section 5.4)."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import chi2, norm
+
+from motes.core import checks, linalg
+from motes.filters.history import History
+from motes.laws.conditional import wrap
+
+
+def normalized_errors(errors: jax.Array, covs: jax.Array) -> jax.Array:
+    """Return e' P^-1 e, `(t,)`, for errors `(x, t)` and covariances `(x, x, t)`; infinite where an error has no variance."""
+    lower = linalg.cholesky(covs)
+    scaled = linalg.solve_lower(lower, errors)
+    unexplained = jnp.abs(errors - linalg.times_vector(lower, scaled))
+    size = jnp.abs(errors) + jnp.sqrt(jnp.sum(lower**2, axis=1))
+    wrong = jnp.any(unexplained > 1e3 * jnp.finfo(errors.dtype).eps * size, axis=0)
+    return jnp.where(wrong, jnp.inf, jnp.sum(scaled**2, axis=0))
+
+
+class Band(NamedTuple):
+    """Where the average of a squared normalized error lies, with the probability asked for, if the claims are right."""
+
+    low: float
+    high: float
+
+
+def chi_square_band(dimension: int, runs: int = 1, level: float = 0.99) -> Band:
+    """Return the band of an average over runs, each chi-square with as many degrees of freedom as the error has dimensions.
+
+    Args:
+        dimension: of the error.
+        runs: independent ones over which the average is taken.
+        level: probability within the band.
+
+    Raises:
+        MotesError: a number is not a positive whole one, or the level does not lie between 0 and 1.
+    """
+    checks.positive_integer("chi_square_band dimension", dimension)
+    checks.positive_integer("chi_square_band runs", runs)
+    _check_level("chi_square_band level", level)
+    low, high = chi2.ppf([0.5 - level / 2, 0.5 + level / 2], dimension * runs) / runs
+    return Band(float(low), float(high))
+
+
+def nees(history: History, truth: Any, angles: tuple[int, ...] = ()) -> jax.Array:
+    """Normalized estimation error squared of each step, `(t,)`: about the number of states if the covariances are right.
+
+    Args:
+        history: with means and covariances.
+        truth: true states `(t, x)`.
+        angles: states that are angles in radians.
+
+    Raises:
+        MotesError: truth has another shape.
+    """
+    checks.shape("nees truth", truth, history.mean.shape, "(steps, states)")
+    errors = wrap((jnp.asarray(truth) - history.mean).T, angles)
+    return normalized_errors(errors, jnp.moveaxis(history.cov, 0, -1))
+
+
+def nis(history: History) -> jax.Array:
+    """Normalized innovation squared of each step, `(t,)`: about the number of measured components if the model is right; 0 without any.
+
+    Raises:
+        MotesError: the filter's law has weights (its surprise is no one number).
+    """
+    if hasattr(history.state, "log_weights"):
+        checks.refuse("nis history", "a run of a Kalman filter of some kind", type(history.state).__name__, "mo.diagnose looks at any run.")
+    return 2 * history.info.gap
+
+
+def coverage(history: History, truth: Any, level: float = 0.95) -> jax.Array:
+    """Share of steps at which each true state lies within its central interval, `(x,)`; about the level if the claims are right.
+
+    Args:
+        history: with means and covariances; intervals are those of Gaussians with these moments.
+        truth: true states `(t, x)`.
+        level: probability of the intervals.
+
+    Raises:
+        MotesError: truth has another shape, or the level does not lie between 0 and 1.
+    """
+    checks.shape("coverage truth", truth, history.mean.shape, "(steps, states)")
+    _check_level("coverage level", level)
+    widest = float(norm.ppf(0.5 + level / 2)) * jnp.sqrt(jnp.diagonal(history.cov, axis1=1, axis2=2))
+    return jnp.mean(jnp.abs(jnp.asarray(truth) - history.mean) <= widest, axis=0)
+
+
+def _check_level(argument: str, level: float) -> None:
+    if not 0 < np.asarray(level) < 1:
+        checks.refuse(argument, "a probability between 0 and 1", level)

@@ -1,0 +1,200 @@
+"""A run judged in words: what is wrong, where, and what to try."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from motes.core import checks
+from motes.core.record import record, static
+from motes.diagnostics.consistency import chi_square_band, nees
+from motes.diagnostics.weights import TRUSTED, pareto_k, surviving
+from motes.filters.history import History
+
+FAR = 12.5
+"""Nats below a perfect fit, five standard deviations: a best particle or a prediction this far off has been surprised."""
+IN_A_ROW = 3
+"""So many surprises one after the other are no outlier any more."""
+STARVED, STARVED_FOR = 2.0, 5
+"""An effective sample size below the one for as many steps as the other: the filter lives on single particles."""
+SCARCE = 0.02
+"""Share of the particles below which a median effective sample size is called low."""
+LEVEL = 0.999
+"""Probability of the bands for averages over the steps of a run."""
+
+
+@record
+class Finding:
+    """One thing that a run tells of itself.
+
+    Attributes:
+        name: "collapse", "lost", "surprise", "starvation", "few particles", "heavy weights", "degenerate paths", "invalid",
+            "overconfident" or "cautious".
+        text: what was seen, with numbers and steps.
+        advice: what to try.
+        serious: whether estimates are not to be trusted.
+    """
+
+    name: str = static()
+    text: str = static()
+    advice: str = static()
+    serious: bool = static()
+
+    def __str__(self) -> str:
+        """Print as one line."""
+        return f"{'warning' if self.serious else 'note'}, {self.name}: {self.text} {self.advice}"
+
+
+@record
+class Diagnosis:
+    """All findings of a run.
+
+    Attributes:
+        findings: the serious ones first.
+    """
+
+    findings: tuple[Finding, ...] = static()
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing serious was found."""
+        return not any(finding.serious for finding in self.findings)
+
+    def __contains__(self, name: str) -> bool:
+        """Whether something of that name was found."""
+        return any(finding.name == name for finding in self.findings)
+
+    def __str__(self) -> str:
+        """Print one finding per line."""
+        return "\n".join(map(str, self.findings)) or "Nothing wrong was found."
+
+
+def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) -> Diagnosis:
+    """Judge a run and say in words what is wrong and what to try.
+
+    Looks for collapse and surprise (the measurements lie far from all particles), starvation and low effective sample sizes, likelihoods
+    that are not numbers; in runs with kept laws at heavy-tailed weights and degenerate paths; with the truth at covariances too small or
+    too large.
+
+    Args:
+        history: of a run. With `keep=mo.keep.laws` more can be seen.
+        truth: true states `(t, x)`, where they are known.
+        angles: states that are angles in radians.
+
+    Raises:
+        MotesError: truth has another shape.
+    """
+    if not isinstance(history, History):
+        checks.refuse("diagnose history", "what mo.run gave", type(history).__name__)
+    start = int(history.start)
+    found = [_collapse(history, start), *_surprise(history, start), *_weights(history, start), _invalid(history, start)]
+    if "law" in history.kept:
+        found += _laws(history)
+    if truth is not None:
+        found.append(_consistency(history, truth, angles))
+    kept = [finding for finding in found if finding is not None]
+    return Diagnosis(tuple(sorted(kept, key=lambda finding: not finding.serious)))
+
+
+def _collapse(history: History, start: int) -> Finding | None:
+    steps = np.flatnonzero(np.asarray(history.info.collapsed))
+    if not steps.size:
+        return None
+    text = f"at {_steps(steps, start)} no particle explained the measurement, which was then not used."
+    return Finding("collapse", text, "Check the measurement there; widen the noises, or use more particles or a proposal.", True)
+
+
+def _surprise(history: History, start: int) -> list[Finding]:
+    gaps = np.asarray(history.info.gap, np.float64)
+    usual = history.last.y.shape[0] / 2
+    far = (gaps > FAR + usual) | np.asarray(history.info.collapsed)
+    weighted = hasattr(history.state, "log_weights")
+    runs = _in_a_row(far)
+    long = [piece for piece in runs if piece.size >= IN_A_ROW]
+    if long:
+        first = long[0]
+        text = (f"from step {start + first[0]} on, {first.size} measurements in a row lie {np.sqrt(2 * gaps[first].max()):.0f} or fewer "
+                f"standard deviations from {'every particle' if weighted else 'the prediction'}.")  # fmt: skip
+        return [Finding("lost", text, "More process noise, a model that can move so, or more particles; start anew there.", True)]
+    measured = gaps[np.asarray(history.info.lowest) != 0]
+    if weighted or not measured.size:
+        return []
+    band = chi_square_band(history.last.y.shape[0], measured.size, LEVEL)
+    average = 2 * measured.mean()
+    if average > band.high:
+        text = f"innovations are {average / (2 * usual):.2g} times as large (squared) as their covariance claims."
+        return [Finding("surprise", text, "Raise the noises, or look for what the model leaves out.", average > 2 * band.high)]
+    return []
+
+
+def _weights(history: History, start: int) -> list[Finding]:
+    ess = np.asarray(history.ess, np.float64)
+    if not np.isfinite(ess).any() or not hasattr(history.state, "log_weights"):
+        return []
+    n = history.state.log_weights.shape[0]
+    starving = [piece for piece in _in_a_row(ess < min(STARVED, 0.5 * n)) if piece.size >= STARVED_FOR]
+    if starving:
+        first = starving[0]
+        text = f"from step {start + first[0]} on, {first.size} steps in a row live on fewer than {STARVED:g} of {n} particles."
+        return [Finding("starvation", text, "More particles, a proposal that looks ahead, regularization, or a marginalized filter.", True)]
+    median = float(np.median(ess))
+    if median < SCARCE * n:
+        text = f"half of the steps have an effective sample size below {median:.3g} of {n} particles."
+        return [Finding("few particles", text, "More particles, or a proposal that looks ahead.", median < 5)]
+    return []
+
+
+def _invalid(history: History, start: int) -> Finding | None:
+    invalid = np.asarray(history.info.invalid)
+    if not invalid.any():
+        return None
+    text = f"at {_steps(np.flatnonzero(invalid), start)} up to {invalid.max()} particles had a likelihood that is not a number."
+    return Finding("invalid", text, "Look for roots and logarithms of negative numbers in the sensor; such particles got no weight.", False)
+
+
+_tails = jax.jit(jax.vmap(pareto_k))
+
+
+def _laws(history: History) -> list[Finding]:
+    found = []
+    weights = getattr(history.law, "log_weights", None)
+    if weights is not None and weights.shape[1] >= 25:
+        shapes = np.asarray(_tails(weights[:: max(1, len(weights) // 50)]))
+        heavy = float(np.mean(shapes > TRUSTED))
+        if heavy > 0.2:
+            text = f"weights have so heavy a tail (Pareto k above {TRUSTED}) at {100 * heavy:.0f} % of the steps that few particles decide."
+            found.append(Finding("heavy weights", text, "A proposal that looks ahead helps more than more particles.", heavy > 0.5))
+    ancestors = getattr(history.law, "ancestors", None)
+    lag = 10
+    if ancestors is not None and len(ancestors) > lag:
+        alive = surviving(history, lag)
+        if alive.min() <= 1 < ancestors.shape[1]:
+            text = f"at {int(np.sum(alive <= 1))} steps all particles descend from one particle of {lag} steps before."
+            found.append(Finding("degenerate paths", text, "Filtered estimates may still be right; smooth by backward simulation.", False))
+    return found
+
+
+def _consistency(history: History, truth: Any, angles: tuple[int, ...]) -> Finding | None:
+    squares = np.asarray(nees(history, truth, angles), np.float64)
+    size = history.mean.shape[1]
+    average = float(np.mean(squares)) / size
+    # errors of neighboring steps are not independent: a run counts for as many as a tenth of its steps
+    band = chi_square_band(size, max(1, len(squares) // 10), LEVEL)
+    if average > band.high / size:
+        text = f"errors are {average:.2g} times as large (squared) as the covariances claim."
+        return Finding("overconfident", text, "More process noise, more particles, or regularization.", average > 2 * band.high / size)
+    if average < band.low / size:
+        text = f"errors are {average:.2g} times as large (squared) as the covariances claim."
+        return Finding("cautious", text, "Lower the noises.", False)
+    return None
+
+
+def _in_a_row(flags: np.ndarray) -> list[np.ndarray]:
+    """Return the indices of each unbroken run of true values."""
+    where = np.flatnonzero(flags)
+    return [] if not where.size else np.split(where, np.flatnonzero(np.diff(where) > 1) + 1)
+
+
+def _steps(steps: np.ndarray, start: int) -> str:
+    first = start + int(steps[0])
+    return f"step {first}" if steps.size == 1 else f"{steps.size} steps, first step {first},"

@@ -1,0 +1,82 @@
+"""Distances between sets of points, for estimates and truths whose numbers differ."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from motes.core import checks
+
+
+def ospa(estimates: Any, truths: Any, cutoff: float, order: float = 2.0) -> float:
+    """Optimal subpattern assignment distance (Schuhmacher, Vo, Vo 2008), in the units of the points, at most the cutoff.
+
+    Args:
+        estimates: points `(m, x)`.
+        truths: points `(n, x)`.
+        cutoff: distance from which on a pair counts as missed; a surplus point counts as much.
+        order: p of the average over pairs.
+
+    Raises:
+        MotesError: the points do not fit each other, the cutoff is not positive, or the order is below 1.
+    """
+    near = _cut("ospa", estimates, truths, cutoff, order)
+    fewer, more = sorted(near.shape)
+    if more == 0:
+        return 0.0
+    paired = near[linear_sum_assignment(near)].sum()
+    return float(((paired + cutoff**order * (more - fewer)) / more) ** (1 / order))
+
+
+class Gospa(NamedTuple):
+    """Generalized optimal subpattern assignment distance and what it is made of.
+
+    Attributes:
+        distance: the whole, in the units of the points.
+        localization: sum over pairs of their distances to the power p.
+        missed: number of truths without an estimate.
+        false: number of estimates without a truth.
+    """
+
+    distance: float
+    localization: float
+    missed: int
+    false: int
+
+
+def gospa(estimates: Any, truths: Any, cutoff: float, order: float = 2.0) -> Gospa:
+    """Generalized optimal subpattern assignment distance with alpha = 2 (Rahmathullah, Garcia-Fernandez, Svensson 2017).
+
+    Not divided by the number of points: localization + (cutoff^p / 2) (missed + false), to the power 1 / p.
+
+    Args:
+        estimates: points `(m, x)`.
+        truths: points `(n, x)`.
+        cutoff: distance from which on two points are no pair.
+        order: p.
+
+    Raises:
+        MotesError: the points do not fit each other, the cutoff is not positive, or the order is below 1.
+    """
+    near = _cut("gospa", estimates, truths, cutoff, order)
+    rows, columns = linear_sum_assignment(near)
+    pairs = near[rows, columns]
+    pairs = pairs[pairs < cutoff**order]
+    missed, false = near.shape[1] - pairs.size, near.shape[0] - pairs.size
+    whole = pairs.sum() + cutoff**order / 2 * (missed + false)
+    return Gospa(float(whole ** (1 / order)), float(pairs.sum()), missed, false)
+
+
+def _cut(asked_by: str, estimates: Any, truths: Any, cutoff: float, order: float) -> np.ndarray:
+    """Distances `(m, n)`, at most the cutoff, to the power of the order."""
+    checks.above_zero(f"{asked_by} cutoff", cutoff)
+    if not order >= 1:
+        checks.refuse(f"{asked_by} order", "a number of at least 1", order)
+    one, other = (np.asarray(points, np.float64) for points in (estimates, truths))
+    for name, points in (("estimates", one), ("truths", other)):
+        if points.ndim != 2 or not np.isfinite(points).all():
+            checks.refuse(f"{asked_by} {name}", "finite points, shape (n, x)", f"shape {points.shape}")
+    if one.shape[1] != other.shape[1]:
+        checks.refuse(f"{asked_by} estimates", f"points of {other.shape[1]} components, as the truths", f"{one.shape[1]}")
+    apart = np.linalg.norm(one[:, None] - other[None], axis=-1)
+    return np.minimum(apart, cutoff) ** order

@@ -1,0 +1,110 @@
+"""What weights and ancestors tell of a run."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core import checks
+from motes.filters.history import History
+
+TRUSTED = 0.7
+"""Averages under weights with a Pareto-k above this have errors that more particles hardly lower (Vehtari et al. 2024)."""
+
+
+def pareto_k(log_weights: jax.Array) -> jax.Array:
+    """Shape k of the generalized Pareto law that fits the largest weights, `()`, from log weights `(n,)` that need not be normalized.
+
+    Moments of the weights of order 1 / k and more do not exist: below 0.5 their variance does; above `TRUSTED` averages are not reliable.
+    The fit is that of Zhang and Stephens (2009) to the largest min(n / 5, 3 sqrt(n)) weights, drawn a little towards 0.5 as in Pareto
+    smoothed importance sampling. NaN for fewer than 25 weights; minus infinity where the largest weights are all equal.
+    """
+    n = log_weights.shape[0]
+    count = int(min(n / 5, 3 * n**0.5))
+    if count < 5:
+        return jnp.full((), jnp.nan, log_weights.dtype)
+    top = jnp.sort(log_weights)[n - count - 1 :]
+    # relative to the largest, so that nothing overflows
+    largest = jnp.exp(top[1:] - top[-1])
+    excess = largest - jnp.exp(top[0] - top[-1])
+    k = _zhang_stephens(excess)
+    return jnp.where(excess[-1] > 0, k, -jnp.inf)
+
+
+def _zhang_stephens(x: jax.Array) -> jax.Array:
+    """Shape of the generalized Pareto law of x `(m,)`, sorted and positive, averaged over the likelihood of b in k = mean log(1 - b x)."""
+    m = x.shape[0]
+    x = jnp.maximum(x, jnp.finfo(x.dtype).tiny)
+    grid = 30 + int(m**0.5)
+    quartile = x[int(m / 4 + 0.5) - 1]
+    b = 1 / x[-1] + (1 - jnp.sqrt(grid / (jnp.arange(grid) + 0.5))) / (3 * quartile)
+    k = jnp.mean(jnp.log1p(-b[:, None] * x), axis=1)
+    log_likelihood = m * (jnp.log(-b / k) - k - 1)
+    weights = jax.nn.softmax(jnp.where(jnp.isnan(log_likelihood), -jnp.inf, log_likelihood))
+    fitted = jnp.mean(jnp.log1p(-jnp.sum(weights * b) * x))
+    return (fitted * m + 5) / (m + 10)
+
+
+def founders(history: History) -> jax.Array:
+    """Index of the particle at the first step from which each particle of the last descends, `(n,)`.
+
+    Raises:
+        MotesError: laws were not kept, or have no ancestors.
+    """
+    ancestors = getattr(history.law, "ancestors", None)
+    if ancestors is None:
+        checks.refuse("founders history", "laws with ancestors", type(history.state).__name__)
+    everyone = jnp.arange(ancestors.shape[1], dtype=jnp.int32)
+    return jax.lax.scan(lambda own, before: (before[own], None), everyone, ancestors[1:], reverse=True)[0]
+
+
+def surviving(history: History, lag: int) -> np.ndarray:
+    """Number of different particles `lag` steps before from which those of each step descend, `(t - lag,)`.
+
+    Raises:
+        MotesError: laws were not kept, have no ancestors, or the run is not longer than the lag.
+    """
+    ancestors = getattr(history.law, "ancestors", None)
+    if ancestors is None:
+        checks.refuse("surviving history", "laws with ancestors", type(history.state).__name__)
+    checks.positive_integer("surviving lag", lag)
+    parents = np.asarray(ancestors)
+    if len(parents) <= lag:
+        checks.refuse("surviving lag", f"less than the {len(parents)} steps of the run", lag)
+    found = []
+    for t in range(lag, len(parents)):
+        own = np.unique(parents[t])
+        for back in range(1, lag):
+            own = np.unique(parents[t - back][own])
+        found.append(own.size)
+    return np.array(found)
+
+
+class LikelihoodVariance(NamedTuple):
+    """How sure a run is of its log likelihood.
+
+    Attributes:
+        variance: of the log likelihood over runs with other keys.
+        founders: number of particles of the first step that have descendants in the last; below some 20 the estimate is too low.
+    """
+
+    variance: float
+    founders: int
+
+
+def log_likelihood_variance(history: History) -> LikelihoodVariance:
+    """Estimate from one run how much the log likelihood would vary over runs (Lee, Whiteley 2018; Chan, Lai 2013).
+
+    With W_i the weight of all particles of the last step that descend from particle i of the first, it is the sum of (W_i - 1 / n)^2.
+    Consistent for multinomial resampling; for the other schemes, which are less noisy, somewhat too large. Laws must be kept.
+
+    Raises:
+        MotesError: laws were not kept, or have no ancestors, or the run does not start at step 0.
+    """
+    if int(history.start) != 0:
+        checks.refuse("log_likelihood_variance history", "a run from step 0", f"one from step {int(history.start)}", "Join its pieces.")
+    first = np.asarray(founders(history))
+    weights = np.exp(np.asarray(history.state.log_weights, np.float64))
+    families = np.bincount(first, weights, minlength=first.size)
+    return LikelihoodVariance(float(np.sum((families - 1 / first.size) ** 2)), int(np.unique(first).size))
