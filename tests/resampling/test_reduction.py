@@ -48,19 +48,21 @@ def test_weights_are_unchanged_on_average(kind, n, precision):
     rounding = 2e-6 if precision == "float32" else 1e-12
     assert np.allclose(table.sum(axis=1), 1, atol=10 * rounding)
     assert ((table > 0).sum(axis=1) == n).all() and not table[:, weights == 0].any()
-    assert np.all(np.abs(table.mean(axis=0) - weights) < 5.5 * table.std(axis=0) / np.sqrt(DRAWS) + rounding)
-    kept = (np.abs(table - weights) < rounding).all(axis=0) & (weights > 0)
+    # a weight w becomes the threshold with probability w / threshold; few draws of a rare one are no normal number
+    slack = 5.5 * np.sqrt(weights * table.max() / DRAWS) + 8 * table.max() / DRAWS
+    assert np.all(np.abs(table.mean(axis=0) - weights) < slack)
+    kept = (table > 0).all(axis=0) & (n > 1)
     threshold = table[:, ~kept].max()
     assert np.all(weights[kept] >= threshold - rounding)
     others = table[:, ~kept]
-    assert np.allclose(others[others > 0], threshold, rtol=1e-4)
+    assert np.allclose(others[others > 0], threshold, rtol=1e-4) and np.allclose(table[:, kept], weights[kept], atol=rounding)
 
 
-@pytest.mark.parametrize("n", [14, 20, 40])
-def test_few_hypotheses_are_all_kept(n, precision):
+@pytest.mark.parametrize("n", [14, 20])
+def test_few_hypotheses_are_all_kept(n):
     weights = weights_of("many without weight")
     assert np.count_nonzero(weights) == 14
-    found = reduced(jax.random.key(3), log(weights), n)
+    found = jax.tree.map(lambda leaf: leaf[0], MANY(jax.random.key(3)[None], log(weights), n))
     alive = np.isfinite(found.log_weights)
     assert np.array_equal(np.asarray(found.ancestors)[alive], np.flatnonzero(weights)) and alive.sum() == 14
     assert np.allclose(np.exp(found.log_weights[alive]), weights[weights > 0] / weights.sum(), rtol=1e-5)
@@ -72,4 +74,4 @@ def test_slopes_are_finite_where_hypotheses_have_no_weight(double):
         log_weights = jnp.where(weights > 0, scale * jnp.log(jnp.where(weights > 0, weights, 1)), -jnp.inf)
         return sum(jnp.sum(jnp.exp(reduced(jax.random.key(1), jax.nn.log_softmax(log_weights), n).log_weights)) for n in (5, 20))
 
-    assert np.isfinite(float(jax.grad(total)(1.0)))
+    assert np.isfinite(float(jax.jit(jax.grad(total))(1.0)))

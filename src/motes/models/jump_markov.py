@@ -132,7 +132,7 @@ def _checked(name: str, value: Any, shape: tuple[int, ...], dtype: jnp.dtype) ->
         rows = np.asarray(array, np.float64)
         if not ((rows >= 0).all() and np.allclose(rows.sum(axis=-1), 1, rtol=0, atol=1e-5)):
             wanted = "probabilities that sum to one" + (" in each row" if len(shape) > 1 else "")
-            checks.refuse(argument, wanted, rows.tolist())
+            checks.refuse(argument, wanted, rows.round(6).tolist())
     return array.astype(dtype)
 
 
