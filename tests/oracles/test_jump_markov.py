@@ -86,9 +86,9 @@ def test_every_path_of_modes_is_summed_while_particles_last(double):
 
 
 def test_fewer_particles_than_paths_leave_the_likelihood_unbiased(double):
-    """Mean ratio to the exact likelihood over 2000 seeds is one (level 1e-6), and the law is near the exact one."""
+    """Mean ratio to the exact likelihood over 1000 seeds is one (level 1e-6), and the law is near the exact one."""
     ys = measured(6)
-    filter, keys = mo.JumpMarkovFilter(n=5), jax.random.split(jax.random.key(2), 2000)
+    filter, keys = mo.JumpMarkovFilter(n=5), jax.random.split(jax.random.key(2), 1000)
     run = jax.jit(jax.vmap(lambda key: (lambda h: (h.log_likelihood, h.mode_probabilities[-1]))(
         mo.run(key, filter, chained(), jnp.asarray(ys), keep=mo.keep.modes))))  # fmt: skip
     totals, modes = map(np.asarray, run(keys))
@@ -128,6 +128,14 @@ def test_without_uncertain_states_the_forward_recursion_of_a_hidden_markov_model
         total, forward = total + np.log(forward.sum()), forward / forward.sum()
         assert np.allclose(history.mode_probabilities[t], forward, rtol=0, atol=1e-6)
     assert abs(float(history.log_likelihood) - total) < 1e-6
+
+
+def test_a_mode_that_cannot_be_hides_no_collapse():
+    """The second mode would explain the outlier, but its probability is zero."""
+    parts = [mo.StateSpaceModel(mo.Gaussian([0.0], [[1.0]]), mo.LinearGaussian([[1.0]], [[0.1]]), mo.LinearGaussian([[1.0]], [[R]]))
+             for R in (0.1, 1e8)]  # fmt: skip
+    with pytest.raises(mo.CollapseError, match="step 2"):
+        mo.run(0, mo.InteractingMultipleModel(), mo.JumpMarkovModel([1.0, 0.0], np.eye(2), parts), np.array([[0.1], [0.2], [1e4]]))
 
 
 @pytest.mark.parametrize("filter", [mo.InteractingMultipleModel(), mo.JumpMarkovFilter(n=8)], ids=["mixing", "particles"])
@@ -194,14 +202,14 @@ def nile():
 
 
 def test_nile_with_rare_breaks_has_the_likelihood_of_a_grid():
-    """2000 particles within 0.6 of the point-mass filter; sum over paths of modes is nearly exact with far fewer."""
+    """2000 particles are within 0.6 of the point-mass filter (within 0.001 in float64), and 100 have a deviation of 0.007."""
     flow = read_table(recorded("timeseries/nile.csv"))["value"][:, None]
     breaks = mo.Mixture.of([0.98, 0.02], [[0.0, 0.0]], [[[100.0, 100.0 + 300.0**2]]])
     model = nile()
     smooth = mo.StateSpaceModel(model.models[0].initial, mo.AdditiveNoise(lambda x, u, t: x, breaks), model.models[0].sensor)
-    grid = mo.run(0, mo.PointMassFilter(-200.0, 2200.0, 601), smooth, flow).log_likelihood
+    grid = mo.run(0, mo.PointMassFilter(0.0, 2000.0, 401), smooth, flow).log_likelihood
     many = mo.run(1, mo.JumpMarkovFilter(n=2000), model, flow, keep=mo.keep.modes)
     assert abs(float(many.log_likelihood) - float(grid)) < 0.05
     keys = jax.random.split(jax.random.key(3), 20)
     few = jax.jit(jax.vmap(lambda key: mo.run(key, mo.JumpMarkovFilter(n=100), model, jnp.asarray(flow)).log_likelihood))(keys)
-    assert abs(float(few.mean()) - float(grid)) < 0.1 and float(few.std()) < 0.3
+    assert abs(float(few.mean()) - float(grid)) < 0.1 and float(few.std()) < 0.05

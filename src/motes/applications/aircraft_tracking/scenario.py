@@ -158,4 +158,4 @@ def score(means: jax.Array, job: Track) -> Score:
     position, velocity = off[:, 0] + off[:, 1], off[:, 2] + off[:, 3]
     count = jnp.sum(job.scored)
     rms = [jnp.sqrt(jnp.sum(jnp.where(job.scored, part, 0)) / count) for part in (position, velocity)]
-    return Score(*rms, jnp.sqrt(jnp.max(jnp.where(job.scored, position, 0))))
+    return Score(rms[0], rms[1], jnp.sqrt(jnp.max(jnp.where(job.scored, position, 0))))
