@@ -43,9 +43,11 @@ from .filters.gaussian_particle import GaussianParticleFilter as GaussianParticl
 from .filters.gaussian_sum import GaussianSumParticleFilter as GaussianSumParticleFilter
 from .filters.history import History as History
 from .filters.history import joined as joined
+from .filters.interacting_multiple_model import InteractingMultipleModel as InteractingMultipleModel
 from .filters.interface import Filter as Filter
 from .filters.interface import Info as Info
 from .filters.interface import TwoStageFilter as TwoStageFilter
+from .filters.jump_markov import JumpMarkovFilter as JumpMarkovFilter
 from .filters.kalman import KalmanFilter as KalmanFilter
 from .filters.kernel import KalmanParticleKernelFilter as KalmanParticleKernelFilter
 from .filters.marginalized import MarginalizedParticleFilter as MarginalizedParticleFilter
@@ -67,9 +69,11 @@ from .laws.cost_cloud import CostCloud as CostCloud
 from .laws.gaussian import Gaussian as Gaussian
 from .laws.marginal_cloud import MarginalCloud as MarginalCloud
 from .laws.mixture import Mixture as Mixture
+from .laws.mode_mixture import ModeMixture as ModeMixture
 from .laws.noise import Laplace as Laplace
 from .laws.noise import StudentT as StudentT
 from .laws.noise import Uniform as Uniform
+from .models.jump_markov import JumpMarkovModel as JumpMarkovModel
 from .models.mixed_linear import MixedLinearModel as MixedLinearModel
 from .models.simulate import simulate as simulate
 from .models.state_space import StateSpaceModel as StateSpaceModel

@@ -59,6 +59,8 @@ def examples():
     found["KalmanParticleKernelFilter, common kernel"] = mo.KalmanParticleKernelFilter(
         n=300, nonlinear=("b",), width=0.5, every=3, kernels=mo.CommonKernel(guard=0.01), slope="jacobian", policy=mo.Always()
     )
+    # one mode leaves nothing to chance unless a state is drawn
+    found["JumpMarkovFilter"] = mo.JumpMarkovFilter(n=300, sampled=("b",))
     found["GaussianParticleFilter, moved draws"] = mo.GaussianParticleFilter(n=300, redraw=False)
     found["GaussianSumParticleFilter, II"] = mo.GaussianSumParticleFilter(n=100, mixands=8, form="II")
     found["CostReferenceParticleFilter, local"] = mo.CostReferenceParticleFilter(

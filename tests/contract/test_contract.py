@@ -282,7 +282,7 @@ def custom_likelihood(values):
     return mo.StateSpaceModel(base.initial, base.dynamics, mo.Custom(log_prob=log_prob), ("a", "b"))
 
 
-MOMENTS_ONLY = ("Kalman", "GaussHermite", "CostReference", "MarginalizedParticleFilter, one state")
+MOMENTS_ONLY = ("Kalman", "GaussHermite", "CostReference", "InteractingMultiple", "JumpMarkov", "MarginalizedParticleFilter, one state")
 WEIGHTED = {name: f for name, f in FILTERS.items() if not any(word in name for word in MOMENTS_ONLY)}
 
 

@@ -62,6 +62,27 @@ CASES = {
     "mixture weights": (lambda: mo.Mixture.of([-1.0, 2.0], [[0.0, 1.0]], [[[1.0, 1.0]]]), "Mixture weights: expected weights >= 0"),
     "steps": (lambda: mo.simulate(0, good_model(), 0), "simulate steps: expected a whole number of at least 1, got 0"),
     "key": (lambda: mo.simulate("seed", good_model(), 3), "key: expected a JAX key or an integer seed, got 'str'"),
+    "mode without a model": (lambda: mo.JumpMarkovModel([1.0], [[1.0]], [EYE]), "JumpMarkovModel models: expected a StateSpaceModel for each mode, got ndarray"),
+    "no modes": (lambda: mo.JumpMarkovModel([], [], []), "JumpMarkovModel models: expected at least one mode, got none"),
+    "rows of transitions": (
+        lambda: mo.JumpMarkovModel([0.5, 0.5], [[0.9, 0.1], [0.2, 0.7]], [good_model()] * 2),
+        "JumpMarkovModel transition: expected probabilities that sum to one in each row, got [[0.9"),
+    "initial modes": (
+        lambda: mo.JumpMarkovModel([1.5, -0.5], EYE, [good_model()] * 2), "JumpMarkovModel initial_mode: expected probabilities that sum to one, got [1.5, -0.5]"),
+    "transition of another size": (
+        lambda: mo.JumpMarkovModel([0.5, 0.5], [[1.0]], [good_model()] * 2), "JumpMarkovModel transition: expected shape (2, 2) (modes, modes), got shape (1, 1)"),
+    "modes of other states": (
+        lambda: mo.JumpMarkovModel([0.5, 0.5], EYE, [good_model(), good_model(names=("a", "c"))]),
+        "JumpMarkovModel models: expected the same states in all modes (a, b), got a, c"),
+    "transition function": (
+        lambda: run_with(mo.JumpMarkovFilter(n=3), model=mo.JumpMarkovModel([0.5, 0.5], lambda u, t: jnp.ones(2), [good_model()] * 2)),
+        "transition(u, t): expected shape (2, 2) (modes, modes), got shape (2,)"),
+    "modes that measure differently": (
+        lambda: run_with(mo.InteractingMultipleModel(), model=mo.JumpMarkovModel([0.5, 0.5], EYE, [good_model(), good_model(sensor=mo.LinearGaussian(EYE, EYE))])),
+        "JumpMarkovModel models: expected the same number of measured components in all modes, got ['1', '2']"),
+    "modes for a particle filter": (
+        lambda: run_with(model=mo.JumpMarkovModel([1.0], [[1.0]], [good_model()])),
+        "ParticleFilter model: expected a StateSpaceModel or a MixedLinearModel, got JumpMarkovModel. Use InteractingMultipleModel or JumpMarkovFilter, or give model.joined()."),
     "structure of what": (lambda: mo.structure(EYE), "structure model: expected a StateSpaceModel or a MixedLinearModel, got ndarray"),
     # states by name
     "unknown state": (
@@ -108,6 +129,13 @@ CASES = {
     "forgetting": (lambda: mo.CostReferenceParticleFilter(n=3, forgetting=1.5), "CostReferenceParticleFilter forgetting: expected a number from 0 to 1, got 1.5"),
     "scale of zero": (lambda: mo.CostReferenceParticleFilter(n=3, scale=0.0), "CostReferenceParticleFilter scale: expected positive standard deviations, got 0.0"),
     "scales": (lambda: run_with(mo.CostReferenceParticleFilter(n=3, scale=(1.0, 1.0, 1.0))), "CostReferenceParticleFilter scale: expected shape (2,) (one per state)"),
+    "jump-Markov n": (lambda: mo.JumpMarkovFilter(n=0), "JumpMarkovFilter n: expected a whole number of at least 1, got 0"),
+    "drawn state": (lambda: run_with(mo.JumpMarkovFilter(n=3, sampled="z")), "state: expected one of the names a, b or an index below 2, got 'z'"),
+    "modes without moments": (
+        lambda: run_with(mo.InteractingMultipleModel(), model=good_model(sensor=mo.Custom(log_prob=lambda y, x, u, t: 0.0))),
+        "InteractingMultipleModel sensor: expected a mean function and a noise covariance, got Custom"),
+    "modes of no chain": (lambda: run_with(keep=mo.keep.modes), "keep.modes: expected a filter of jump-Markov systems, got one whose law is a Cloud"),
+    "modes not kept": (lambda: run_with().mode_probabilities, "got none. Run with keep=mo.keep.modes."),
     "delta": (lambda: mo.InverseExcess(delta=0.0), "InverseExcess delta: expected a number above 0, got 0.0"),
     "grid ends": (lambda: mo.PointMassFilter(1.0, 0.0, 9), "PointMassFilter lower: expected numbers below those of upper"),
     "grid dimensions": (lambda: run_with(mo.PointMassFilter(0.0, 1.0, 9)), "PointMassFilter nodes: expected 2 dimensions (states of the model), got 1"),

@@ -168,3 +168,15 @@ def test_a_sharp_measurement_leaves_a_variance_in_float32():
         law = law.corrected_in_turn(jnp.ones((1, 1), jnp.float32), [((0, 1), H)], jnp.full((1, 1), 1e-9, jnp.float32)).law
         assert np.linalg.eigvalsh(np.asarray(law.covariance[..., 0], np.float64)).min() > -1e-4
         assert np.isfinite(np.asarray(law.center)).all() and np.abs(np.asarray(law.center)).max() < 1e3
+
+
+def test_drawn_states_leave_the_law_as_a_mixture_over_draws(double):
+    """Pinned laws have no variance in the drawn states, and mean and covariance of the law when averaged over draws (five errors)."""
+    cov = np.array([[2.0, 0.6, -0.3], [0.6, 1.0, 0.2], [-0.3, 0.2, 0.5]])
+    n = 40_000
+    laws = mo.Gaussian(jnp.repeat(jnp.array([[1.0], [-2.0], [0.5]]), n, axis=1), jnp.repeat(jnp.asarray(cov)[..., None], n, axis=2))
+    pinned = jax.jit(lambda noise: laws.pinned((0, 2), noise))(jax.random.normal(jax.random.key(0), (2, n)))
+    left = np.asarray(pinned.covariance)
+    assert not left[[0, 2]].any() and not left[:, [0, 2]].any() and np.allclose(left[1, 1], left[1, 1, 0])
+    assert np.allclose(np.asarray(pinned.center).mean(axis=1), [1.0, -2.0, 0.5], atol=5 * np.sqrt(2 / n))
+    assert np.allclose(np.cov(np.asarray(pinned.center)) + left[..., 0], cov, atol=5 * 2 * np.sqrt(2 / n))

@@ -10,6 +10,7 @@ from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.filters.interface import Filter, as_state_space
 from motes.filters.run import Engine
+from motes.models.jump_markov import modes_of
 from motes.models.state_space import measurement_size
 from motes.native import report
 
@@ -39,14 +40,14 @@ def explain(filter: Filter, model: Any, inputs: Inputs = None, y: Any = None) ->
 
     Args:
         filter: the filter.
-        model: state-space or mixed linear model.
+        model: state-space, mixed linear or jump-Markov model.
         inputs: example of the inputs of one step, where the model's functions use them.
         y: example of a measurement `(y,)`, where the sensor is a `Custom` density.
 
     Raises:
         MotesError: filter and model do not fit each other.
     """
-    size = measurement_size(as_state_space("explain", model), inputs)
+    size = measurement_size(as_state_space("explain", modes_of(model)[0]), inputs)
     given = jnp.zeros((size or 1,), model.dtype) if y is None else jnp.asarray(y, model.dtype)
 
     def once(key: jax.Array, filter: Filter, model: Any, y: jax.Array, u: Any) -> Any:

@@ -61,7 +61,7 @@ class History:
     def _kept(self, name: str) -> Any:
         if name not in self.kept:
             checks.refuse(f"history.{name}", f"a run that kept it ({', '.join(self.kept) or 'nothing'} was kept)", "none",
-                          "Run with keep=mo.keep.moments or mo.keep.laws.")
+                          f"Run with keep=mo.keep.{'modes' if name == 'mode_probabilities' else 'moments or mo.keep.laws'}.")
         return self.kept[name]
 
     @property
@@ -73,6 +73,11 @@ class History:
     def cov(self) -> jax.Array:
         """Filtered covariances, `(t, x, x)`."""
         return self._kept("cov")
+
+    @property
+    def mode_probabilities(self) -> jax.Array:
+        """Filtered probabilities of the modes, `(t, m)` (with `keep.modes`)."""
+        return self._kept("mode_probabilities")
 
     @property
     def law(self) -> Any:
@@ -130,6 +135,8 @@ class History:
             data["mean"] = (("time", "state"), np.asarray(self.mean))
         if "cov" in self.kept:
             data["cov"] = (("time", "state", "state2"), np.asarray(self.cov))
+        if "mode_probabilities" in self.kept:
+            data["mode_probabilities"] = (("time", "mode"), np.asarray(self.mode_probabilities))
         for name in ("log_evidence", "ess", "collapsed", "invalid"):
             data[name] = (("time",), np.asarray(getattr(self.info, name)))
         names = list(self.names)

@@ -12,6 +12,7 @@ from motes.core.record import record, replace, static
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional, Custom
 from motes.models import linearize
+from motes.models.jump_markov import JumpMarkovModel
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
 from motes.native import cloudwise
@@ -222,7 +223,8 @@ def as_state_space(asked_by: str, model: Any) -> StateSpaceModel:
         return model
     if isinstance(model, MixedLinearModel):
         return model.joined()
-    checks.refuse(f"{asked_by} model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__)
+    hint = "Use InteractingMultipleModel or JumpMarkovFilter, or give model.joined()." if isinstance(model, JumpMarkovModel) else ""
+    checks.refuse(f"{asked_by} model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__, hint)
 
 
 def as_particle_model(asked_by: str, model: Any, transition_density: bool) -> StateSpaceModel:
@@ -254,9 +256,26 @@ def as_moment_model(asked_by: str, model: Any) -> StateSpaceModel:
         MotesError: one of them has not, or the value is no model.
     """
     model = as_state_space(asked_by, model)
+    _check_moments(asked_by, model)
+    return model
+
+
+def as_jump_markov(asked_by: str, model: Any) -> JumpMarkovModel:
+    """Return a jump-Markov model whose modes have means and noise covariances; any other model is one with a single mode.
+
+    Raises:
+        MotesError: a mode has none, or the value is no model.
+    """
+    if not isinstance(model, JumpMarkovModel):
+        return JumpMarkovModel([1.0], [[1.0]], as_moment_model(asked_by, model))
+    for part in model.models:
+        _check_moments(asked_by, part)
+    return model
+
+
+def _check_moments(asked_by: str, model: StateSpaceModel) -> None:
     for name in ("dynamics", "sensor"):
         part = getattr(model, name)
         if not linearize.has_moments(part):
             hint = "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter."
             checks.refuse(f"{asked_by} {name}", "a mean function and a noise covariance", type(part).__name__, hint)
-    return model

@@ -17,6 +17,7 @@ from motes.filters.history import Carry, History
 from motes.filters.interface import Filter, Info, as_state_space
 from motes.laws.conditional import Conditional
 from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
+from motes.models.jump_markov import JumpMarkovModel, modes_of
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import Previous, StateSpaceModel, check_inputs, decorrelated, measurement_size, step_inputs
 from motes.native import report
@@ -41,7 +42,7 @@ def run(
     Args:
         key: JAX key or integer seed; the same key gives the same numbers, bit for bit, as `stream` with it.
         filter: the filter.
-        model: state-space or mixed linear model.
+        model: state-space, mixed linear or jump-Markov model.
         ys: measurements `(t, y)`; NaN means not measured; the first is of x_0.
         inputs: tree with the time axis first, or None.
         keep: what to keep of each law (see `keep`).
@@ -144,9 +145,9 @@ class Engine:
 
     def initial(self, u: Inputs, y: jax.Array) -> Carry:
         """Check that the parts fit, and return the law before y_0; of y only shape and type matter."""
-        if isinstance(self.given, StateSpaceModel):
+        if isinstance(self.given, (StateSpaceModel, JumpMarkovModel)):
             self.given.check(u)
-            size = measurement_size(self.given, u)
+            size = measurement_size(modes_of(self.given)[0], u)
             if size not in (None, y.shape[0]):
                 checks.refuse("ys", f"shape (t, {size}), as the sensor measures", f"{y.shape[0]} components")
         nothing = jnp.full_like(y, jnp.nan)
@@ -189,7 +190,7 @@ def _apart(tree: Any) -> Any:
 
 def checked_measurements(model: Any, ys: Any, inputs: Inputs) -> Any:
     """Return the measurements in the model's type, or refuse what does not fit; see `run`."""
-    if not isinstance(model, (StateSpaceModel, MixedLinearModel)):
+    if not isinstance(model, (StateSpaceModel, MixedLinearModel, JumpMarkovModel)):
         as_state_space("run", model)
     dtype = model.dtype
     if checks.is_concrete(ys):
@@ -204,10 +205,11 @@ def checked_measurements(model: Any, ys: Any, inputs: Inputs) -> Any:
         hint = "Write ys[:, None] for one measured component." if ys.ndim == 1 else ""
         checks.refuse("ys", "shape (t, y) with at least one step", f"shape {ys.shape}", hint)
     check_inputs(inputs, ys.shape[0], "ys")
-    if isinstance(model, StateSpaceModel) and not model.sensor.marginalizes and checks.is_concrete(ys):
+    unable = [part.sensor for part in modes_of(model) if isinstance(part, StateSpaceModel) and not part.sensor.marginalizes]
+    if unable and checks.is_concrete(ys):
         missing = np.isnan(np.asarray(ys))
         some = missing.any(axis=1) & ~missing.all(axis=1)
         if some.any():
-            checks.refuse("ys", f"rows without NaN, or all NaN ({type(model.sensor).__name__} cannot leave out single components)",
+            checks.refuse("ys", f"rows without NaN, or all NaN ({type(unable[0]).__name__} cannot leave out single components)",
                           f"row {int(np.argmax(some))} partly NaN", "Use a Gaussian sensor or noise with independent components.")
     return ys

@@ -167,6 +167,20 @@ class Gaussian(Law):
             distance = distance + inverse * surprise**2
         return Correction(Gaussian(center, P), peak - 0.5 * distance, peak)
 
+    def pinned(self, states: Sequence[int], noise: jax.Array) -> "Gaussian":
+        """Draw some of the states of each law and condition it on the draw; the drawn states are left with no variance at all.
+
+        Args:
+            states: indices of the s states.
+            noise: standard normal numbers `(s, *n)`.
+        """
+        factor = linalg.cholesky(linalg.take(linalg.take(self.covariance, states), states, axis=1))
+        along = linalg.transpose(linalg.solve_lower(factor, linalg.take(self.covariance, states)))
+        rest = linalg.add(self.covariance, -linalg.symmetric(linalg.product_transposed(along, along)))
+        free = ~np.isin(np.arange(self.center.shape[0]), states)
+        both = (free[:, None] & free)[..., None] if rest.ndim == 3 else free[:, None] & free
+        return Gaussian(linalg.add_vectors(self.center, linalg.times_vector(along, noise)), jnp.where(both, rest, 0))
+
     def inflated(self, factor: float) -> "Gaussian":
         """Return the law with its covariance times a factor."""
         return Gaussian(self.center, self.covariance * factor)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random
-from motes.core.record import record
+from motes.core.record import record, replace
 from motes.laws.cloud import draw, weighted_moments
 from motes.laws.gaussian import Gaussian, log_normal
 from motes.laws.law import Law
@@ -90,4 +90,4 @@ class Mixture(Law):
         """Return the mixture with each component's covariance times a factor and the means spread to match."""
         center = self.mean()[:, None]
         spread = center + jnp.sqrt(jnp.asarray(factor, center.dtype)) * (self.parts.center - center)
-        return Mixture(Gaussian(spread, linalg.symmetric(self.parts.covariance * factor)), self.log_weights)
+        return replace(self, parts=Gaussian(spread, linalg.symmetric(self.parts.covariance * factor)))

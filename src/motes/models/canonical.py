@@ -27,6 +27,8 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
 from motes.core.checks import refuse
 from motes.core.record import is_function, replace
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom, LinearGaussian
+from motes.laws.switching import SwitchingDynamics, SwitchingSensor
+from motes.models.jump_markov import JumpMarkovModel
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
 
@@ -94,7 +96,7 @@ def canonical(model: Any, u: Any, y: Any = None) -> Any:
     """Return a model whose user functions compare by their traced programs; a second call looks them up without tracing.
 
     Args:
-        model: a state-space or mixed linear model; anything else comes back as it is.
+        model: a state-space, mixed linear or jump-Markov model; anything else comes back as it is.
         u: inputs of one step, or their shapes.
         y: one measurement `(y,)` or its shape, for densities of sensors; without it these are left alone.
     """
@@ -110,6 +112,9 @@ def canonical(model: Any, u: Any, y: Any = None) -> Any:
     if isinstance(model, MixedLinearModel):
         args = (jax.ShapeDtypeStruct((model.sizes[0],), model.dtype), u, t)
         return _with(model, {name: _canonical(getattr(model, name), args) for name in ("particle", "kalman", "sensor", "cross_cov")})
+    if isinstance(model, JumpMarkovModel):
+        models = tuple(canonical(part, u, y) for part in model.models)
+        return _with(model, {"transition": _canonical(model.transition, (u, t)), "models": models})
     return model
 
 
@@ -123,10 +128,20 @@ def canonical_conditional(part: Conditional, x: Any, u: Any, value: Any) -> Cond
         value: shape of what the conditional is the law of, or None where it is not known.
     """
     t = jax.ShapeDtypeStruct((), jnp.int32)
+    if isinstance(part, (SwitchingDynamics, SwitchingSensor)):
+        rest = _without_mode(x)
+        chain = isinstance(part, SwitchingDynamics)
+        value = _without_mode(value) if chain else value
+        known = {"parts": tuple(canonical_conditional(each, rest, u, value) for each in part.parts)}
+        return _with(part, known | ({"transition": _canonical(part.transition, (u, t))} if chain else {}))
     if type(part) is Custom:
         density = part.density if value is None else _canonical(part.density, (value, x, u, t))
         return _with(part, {"sampler": _canonical(part.sampler, (_key_shape(), x, u, t)), "density": density})
     return _with(part, {name: _canonical(getattr(part, name), (x, u, t)) for name in _FUNCTIONS.get(type(part), ())})
+
+
+def _without_mode(state: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct((state.shape[0] - 1,), state.dtype)
 
 
 def shape_of(leaf: Any) -> jax.ShapeDtypeStruct:

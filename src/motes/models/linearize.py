@@ -58,6 +58,13 @@ def moved_each(dynamics: Conditional, laws: Gaussian, u: Any, t: Any, shared: tu
     return Gaussian(centers, linalg.add(linalg.sandwich(slope, laws.covariance), noise))
 
 
+def measured_each(sensor: Conditional, laws: Gaussian, y: jax.Array, u: Any, t: Any) -> Correction:
+    """Condition each of a batch of Gaussians, means `(x, n)`, covariances `(x, x, n)`, as `measured` does."""
+    prediction, slope, noise = jax.vmap(lambda x: affine(sensor, x, u, t), in_axes=-1, out_axes=-1)(laws.center)
+    every = range(laws.center.shape[0])
+    return laws.corrected_in_turn(sensor.residual(y, prediction), [(every, slope)], noise, ~jnp.isnan(y))
+
+
 def slope_in(part: Conditional, states: Sequence[int], x: jax.Array, u: Any, t: Any) -> jax.Array:
     """Return the slope `(z, k)` of the mean in k of the states, at x `(x,)`."""
     rest = [i for i in range(x.shape[0]) if i not in states]

@@ -11,6 +11,7 @@ from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.laws.conditional import Custom
 from motes.models.canonical import canonical, one_of
+from motes.models.jump_markov import JumpMarkovModel
 from motes.models.state_space import Previous, StateSpaceModel, check_inputs, decorrelated, step_inputs
 
 
@@ -19,7 +20,7 @@ def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tup
 
     Args:
         key: JAX key or integer seed.
-        model: state-space or mixed linear model.
+        model: state-space, mixed linear or jump-Markov model; the last state of the last kind is the mode.
         steps: number of steps t.
         inputs: tree with the time axis first, or None.
 
@@ -40,7 +41,7 @@ def measurements(key: KeyLike, model: Any, xs: jax.Array, inputs: Inputs = None)
 
     Args:
         key: JAX key or integer seed.
-        model: state-space or mixed linear model.
+        model: state-space, mixed linear or jump-Markov model; the last state of the last kind is the mode.
         xs: states `(t, x)`.
         inputs: tree with the time axis first, or None.
 
@@ -52,12 +53,17 @@ def measurements(key: KeyLike, model: Any, xs: jax.Array, inputs: Inputs = None)
     """
     if getattr(model, "noise_cross_cov", None) is not None:
         checks.refuse("model", "measurement noise that is independent of the process noise, where states are given", "noise_cross_cov")
+    model = _with_mode(model)
     checks.shape("xs", xs, (None, model.size), "(steps, states)")
     return _measurements(random.as_key(key), _drawn_from(model, inputs), jnp.asarray(xs, model.dtype), inputs)
 
 
+def _with_mode(model: Any) -> Any:
+    return model.joined() if isinstance(model, JumpMarkovModel) else model
+
+
 def _drawn_from(model: Any, inputs: Inputs) -> Any:
-    model = canonical(model, jax.tree.map(one_of, inputs))
+    model = canonical(_with_mode(model), jax.tree.map(one_of, inputs))
     if isinstance(model, StateSpaceModel) and isinstance(model.sensor, Custom):
         # a density that is not needed here must not decide what is compiled
         model = replace(model, sensor=replace(model.sensor, density=None))

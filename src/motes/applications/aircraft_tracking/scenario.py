@@ -1,0 +1,161 @@
+"""A recorded flight as a job for a tracker: the true path by a smoother, radar plots drawn from it, and the score."""
+
+import os
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.applications.aircraft_tracking.model import Radar
+from motes.core.record import record
+from motes.io.tables import read_table
+from motes.laws.gaussian import Gaussian
+
+BEGIN, DURATION = 556.0, 4800.0
+"""Part of the recording that is flown, seconds."""
+RADAR = (-25e3, -20e3)
+"""East and north of the radar from the middle of the flight, meters."""
+JERK, POSITION_SD, SPEED_SD, SOFT = 1.0, 50.0, 2.0, 6.0
+"""The smoother: intensity of white jerk (m^2/s^5), deviations of what was reported (m, m/s), and residuals that are held for outliers."""
+UNSCORED = 10
+"""Plots at the start that are not scored."""
+LOST = 1e3
+"""A track is lost when it is further off at a plot, meters."""
+EARTH, KNOT = 6371008.8, 1852 / 3600
+
+
+class Path(NamedTuple):
+    """The true path in meters from the radar.
+
+    Attributes:
+        times: seconds since its start, `(r,)`.
+        states: east, north and velocities, `(r, 4)`.
+    """
+
+    times: np.ndarray
+    states: np.ndarray
+
+
+@record
+class Track:
+    """What a tracker is given, and what its answer is held against.
+
+    Attributes:
+        start: law of east, north and velocities by two plots.
+        ys: range and azimuth of each step, `(t, 2)`; NaN where the radar saw nothing. Those of the first step are in `start` already.
+        dt: duration of each step, seconds, `(t,)`.
+        truth: east, north and velocities, `(t, 4)`.
+        scored: whether the step counts, `(t,)`.
+    """
+
+    start: Gaussian
+    ys: np.ndarray
+    dt: np.ndarray
+    truth: np.ndarray
+    scored: np.ndarray
+
+
+class Score(NamedTuple):
+    """How good a run was.
+
+    Attributes:
+        position: root mean square error at the scored plots, meters.
+        velocity: the same of the velocity, m/s.
+        worst: largest error of the position, meters; above `LOST` the track is lost.
+    """
+
+    position: jax.Array
+    velocity: jax.Array
+    worst: jax.Array
+
+
+def read_path(file: str | os.PathLike[str]) -> Path:
+    """Read a recording of ADS-B reports (CSV or Parquet) and smooth it.
+
+    Repeated positions are dropped. Degrees are laid out evenly on a plane, with velocities stretched in the same way.
+
+    Raises:
+        FileError: the file cannot be used.
+    """
+    table = read_table(file, ["timestamp", "latitude", "longitude", "groundspeed", "track"])
+    seconds = table["timestamp"] - table["timestamp"][0]
+    kept = (seconds >= BEGIN) & (seconds <= BEGIN + DURATION)
+    kept[1:] &= (np.diff(table["latitude"]) != 0) | (np.diff(table["longitude"]) != 0)
+    time, latitude, longitude, speed, track = (column[kept] for column in (seconds, *list(table.values())[1:]))
+    middle = np.median(latitude), np.median(longitude)
+    shrink = np.cos(np.radians(middle[0]))
+    east = EARTH * shrink * np.radians(longitude - middle[1]) - RADAR[0]
+    north = EARTH * np.radians(latitude - middle[0]) - RADAR[1]
+    course = np.radians(track)
+    stretch = shrink / np.cos(np.radians(latitude))
+    axes = [smoothed(time, east, KNOT * speed * np.sin(course) * stretch), smoothed(time, north, KNOT * speed * np.cos(course))]
+    return Path(time - time[0], np.stack([axes[0][:, 0], axes[1][:, 0], axes[0][:, 1], axes[1][:, 1]], axis=1))
+
+
+def smoothed(times: np.ndarray, position: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Return position, speed and acceleration `(r, 3)` along one axis by a Rauch-Tung-Striebel smoother with white jerk."""
+    m, P = np.array([position[0], speed[0], 0.0]), np.diag([POSITION_SD**2, SPEED_SD**2, 1.0])
+    filtered, predicted = [], []
+    for dt, *seen in zip(np.diff(times, prepend=times[0]), position, speed, strict=True):
+        F = np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
+        g = np.array([[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]])
+        m, P = F @ m, F @ P @ F.T + JERK * g
+        predicted.append((F, m, P))
+        for i, (value, sd) in enumerate(zip(seen, (POSITION_SD, SPEED_SD), strict=True)):
+            residual = value - m[i]
+            variance = P[i, i] + sd**2
+            variance *= max(1.0, residual**2 / (SOFT**2 * variance))
+            gain = P[:, i] / variance
+            m, P = m + gain * residual, P - np.outer(gain, P[i])
+        filtered.append((m, P))
+    states = [filtered[-1][0]]
+    for (m, P), (F, ahead, wide) in zip(filtered[-2::-1], predicted[:0:-1], strict=True):
+        states.append(m + P @ F.T @ np.linalg.solve(wide, states[-1] - ahead))
+    return np.array(states[::-1])
+
+
+def track(path: Path, seed: int, steps: int, radar: Radar) -> Track:
+    """Draw the plots of a radar along a path.
+
+    Plots come at intervals uniform on 1 to 5 s; 5 percent are missing, and all for 30 s in every 10 minutes. Steps beyond the end of the
+    path have no plot.
+
+    Args:
+        path: the true path.
+        seed: of the plots.
+        steps: number of steps; 1 800 reach the end of 80 minutes.
+        radar: accuracy of the plots.
+    """
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(1, 5, steps + 1))
+    states = np.stack([np.interp(times, path.times, column) for column in path.states.T], axis=1)
+    distance = np.hypot(states[:, 0], states[:, 1]) + radar.distance * rng.standard_normal(steps + 1)
+    azimuth = np.arctan2(states[:, 1], states[:, 0]) + radar.azimuth * rng.standard_normal(steps + 1)
+    seen = (rng.random(steps + 1) > 0.05) & (times % 600 < 570) & (times <= path.times[-1])
+    places = np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth)], axis=1)
+    apart = times[1] - times[0]
+    covs = [_plane(distance[i], azimuth[i], radar) for i in (0, 1)]
+    mean = np.concatenate([places[1], (places[1] - places[0]) / apart])
+    cov = np.block([[covs[1], covs[1] / apart], [covs[1] / apart, (covs[0] + covs[1]) / apart**2]])
+    ys = np.where(seen[1:, None], np.stack([distance, azimuth], axis=1)[1:], np.nan)
+    ys[0] = np.nan
+    scored = seen[1:] & (np.arange(steps) >= UNSCORED)
+    kind = jnp.result_type(float)
+    start = Gaussian(jnp.asarray(mean, kind), jnp.asarray(cov, kind))
+    return Track(start, ys.astype(kind), np.diff(times).astype(kind), states[1:].astype(kind), scored)
+
+
+def _plane(distance: float, azimuth: float, radar: Radar) -> np.ndarray:
+    """Covariance `(2, 2)` of the place of a plot in the plane."""
+    turn = np.array([[np.cos(azimuth), -np.sin(azimuth)], [np.sin(azimuth), np.cos(azimuth)]])
+    return turn @ np.diag([radar.distance**2, (radar.azimuth * distance) ** 2]) @ turn.T
+
+
+def score(means: jax.Array, job: Track) -> Score:
+    """Judge means `(t, x)` whose first four components are east, north and velocities. Pure, for jit and vmap."""
+    off = jnp.square(means[:, :4] - job.truth)
+    position, velocity = off[:, 0] + off[:, 1], off[:, 2] + off[:, 3]
+    count = jnp.sum(job.scored)
+    rms = [jnp.sqrt(jnp.sum(jnp.where(job.scored, part, 0)) / count) for part in (position, velocity)]
+    return Score(rms[0], rms[1], jnp.sqrt(jnp.max(jnp.where(job.scored, position, 0))))

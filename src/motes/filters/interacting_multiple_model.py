@@ -1,0 +1,64 @@
+"""Interacting multiple models (Blom, Bar-Shalom 1988): one extended Kalman filter for each mode of a jump-Markov system.
+
+1. Mix: the law of x_{t-1} given the new mode j is the sum over modes i of p(s_{t-1} = i | s_t = j) N(m_i, P_i); its mean and covariance
+   are kept.
+2. Predict each mixed Gaussian by the dynamics of its mode; the probability of mode j is the sum over i of transition[i, j] p(i).
+3. Correct each by the sensor of its mode, and weigh the mode by the predictive density of y.
+
+Mixing is the one approximation for linear models. Where the modes agree on the state it costs nothing: without uncertain states the filter
+is the forward recursion of a hidden Markov model.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import linalg
+from motes.core.record import record, replace
+from motes.filters.interface import Info, TwoStageFilter, as_jump_markov, weigh
+from motes.laws.gaussian import Gaussian
+from motes.laws.mixture import moments_each
+from motes.laws.mode_mixture import ModeMixture
+from motes.laws.switching import log_chances
+from motes.models import linearize
+from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_parts, measured
+
+
+@record
+class InteractingMultipleModel(TwoStageFilter):
+    """Interacting multiple models; the state is a `ModeMixture` of one Gaussian for each mode, and `info.ess` counts modes."""
+
+    def prepare(self, model: Any, u: Any) -> JumpMarkovModel:
+        """Ask for means and covariances of dynamics and sensor of every mode.
+
+        Raises:
+            MotesError: one of them has none, or the value is no model.
+        """
+        return as_jump_markov("InteractingMultipleModel", model)
+
+    def init(self, key: jax.Array, model: JumpMarkovModel) -> ModeMixture:
+        """Return the Gaussians with the moments of the initial laws."""
+        modes = jnp.arange(model.count, dtype=jnp.int32)
+        return ModeMixture(initial_gaussians(model), log_chances(model.initial_mode), modes, model.count)
+
+    def predict(self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, u: Any, t: Any) -> ModeMixture:
+        """Mix, then move each mode."""
+        joint = state.log_weights[:, None] + model.log_transition(u, t)
+        log_weights = jax.nn.logsumexp(joint, axis=0)
+        possible = jnp.isfinite(log_weights)
+        shares = jnp.where(possible, joint - jnp.where(possible, log_weights, 0), state.log_weights[:, None])
+        between = moments_each(shares, jnp.broadcast_to(state.parts.center[..., None], (*state.parts.center.shape, model.count)))
+        within = jnp.einsum("abi,ij->abj", state.parts.covariance, jnp.exp(shares), precision=jax.lax.Precision.HIGHEST)
+        center, cov = between.center, linalg.symmetric(between.covariance + within)
+        moved = [linearize.moved_each(part.dynamics, Gaussian(center[:, j, None], cov[..., j, None]), u, t, None)
+                 for j, part in enumerate(model.models)]  # fmt: skip
+        return replace(state, parts=joined_parts(moved), log_weights=log_weights)
+
+    def correct(
+        self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
+    ) -> tuple[ModeMixture, Info]:
+        """Condition each mode's Gaussian on y, and weigh the modes."""
+        done = measured(model, state, y, u, t)
+        weights, info = weigh(state.log_weights, done.log_evidence, done.peak)
+        return replace(state, parts=done.law, log_weights=weights), info

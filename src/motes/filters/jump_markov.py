@@ -1,0 +1,107 @@
+"""Rao-Blackwellized particle filter for jump-Markov systems (Doucet, Gordon, Krishnamurthy 2001; Fearnhead, Clifford 2003).
+
+A particle carries a path of modes, drawn values of the states named, and the Gaussian of the other states given those.
+
+1. Bring the hypotheses of the step before down to n particles, unbiased: without copies (`resampling/reduction.py`), or, where states are
+   drawn and few hypotheses have most of the weight, with copies, which then part by their draws.
+2. Predict: each particle goes on in all m modes, by the extended Kalman filter of each, which gives n m hypotheses weighted by the
+   transition probabilities. States that are drawn are drawn from the prediction; the rest is conditioned on the draw.
+3. Correct each hypothesis by the sensor of its mode, and weigh it by its predictive density of y.
+
+Nothing but the reduction is random where no state is drawn: while at most n paths of modes have weight the filter sums over all of them.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, logspace, random
+from motes.core.record import record, replace, static
+from motes.filters.interface import Info, TwoStageFilter, as_jump_markov, weigh
+from motes.laws.gaussian import Gaussian
+from motes.laws.mode_mixture import ModeMixture
+from motes.laws.switching import log_chances
+from motes.models import linearize
+from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_parts, measured
+from motes.resampling.reduction import Reduction, reduced
+from motes.resampling.schemes import Systematic
+
+
+@record
+class JumpMarkovFilter(TwoStageFilter):
+    """Rao-Blackwellized jump-Markov filter; the state is a `ModeMixture` of n m hypotheses, which `info.ess` counts.
+
+    Attributes:
+        n: number of particles that are kept from step to step.
+        sampled: states that particles draw, by name or index: those in which dynamics or sensors are too curved for an extended Kalman
+            filter. Given them, linear models are exact.
+    """
+
+    n: int = static()
+    sampled: tuple[str | int, ...] = static(default=())
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number.
+        """
+        checks.positive_integer("JumpMarkovFilter n", self.n)
+        object.__setattr__(self, "sampled", (self.sampled,) if isinstance(self.sampled, (str, int)) else tuple(self.sampled))
+
+    def prepare(self, model: Any, u: Any) -> JumpMarkovModel:
+        """Ask for means and covariances of dynamics and sensor of every mode.
+
+        Raises:
+            MotesError: one of them has none, there is no such state, or the value is no model.
+        """
+        model = as_jump_markov("JumpMarkovFilter", model)
+        self._drawn_states(model)
+        return model
+
+    def _drawn_states(self, model: JumpMarkovModel) -> tuple[int, ...]:
+        return tuple(sorted({model.index(state) for state in self.sampled}))
+
+    def _hypotheses(self, key: jax.Array, model: JumpMarkovModel, parts: Gaussian, log_weights: jax.Array) -> ModeMixture:
+        """Draw the states to be drawn; parts `(x, m n)` and weights `(m, n)` come mode after mode."""
+        states = self._drawn_states(model)
+        if states:
+            parts = parts.pinned(states, random.normal(key, (len(states), parts.center.shape[-1]), parts.center.dtype))
+        modes = jnp.repeat(jnp.arange(model.count, dtype=jnp.int32), self.n)
+        return ModeMixture(parts, log_weights.reshape(-1), modes, model.count)
+
+    def init(self, key: jax.Array, model: JumpMarkovModel) -> ModeMixture:
+        """Give each mode the Gaussian with the moments of its initial law: once, or n times where states are drawn."""
+        parts = jax.tree.map(lambda leaf: jnp.repeat(leaf, self.n, axis=-1), initial_gaussians(model))
+        alike = logspace.uniform_weights(self.n, model.dtype)
+        shares = alike if self.sampled else jnp.where(jnp.arange(self.n) == 0, jnp.zeros_like(alike), -jnp.inf)
+        return self._hypotheses(key, model, parts, log_chances(model.initial_mode)[:, None] + shares)
+
+    def _kept(self, key: jax.Array, log_weights: jax.Array) -> Reduction:
+        """Choose n of the hypotheses."""
+        if not self.sampled:
+            return reduced(key, log_weights, self.n)
+
+        def copied() -> Reduction:
+            ancestors = Systematic().ancestors(key, log_weights, self.n)
+            return Reduction(ancestors, logspace.uniform_weights(self.n, log_weights.dtype))
+
+        few = logspace.effective_size(log_weights) < 0.5 * self.n
+        return jax.lax.cond(few, copied, lambda: reduced(key, log_weights, self.n))
+
+    def predict(self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, u: Any, t: Any) -> ModeMixture:
+        """Bring the hypotheses down to n, and move each in every mode."""
+        ancestors, log_weights = self._kept(random.child(key, random.RESAMPLE), state.log_weights)
+        kept = state.picked(ancestors)
+        chances = model.log_transition(u, t)[kept.modes].T
+        moved = joined_parts([linearize.moved_each(part.dynamics, kept.parts, u, t, None) for part in model.models])
+        return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + chances)
+
+    def correct(
+        self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
+    ) -> tuple[ModeMixture, Info]:
+        """Weigh each hypothesis by its predictive density of y, and correct its Gaussian."""
+        done = measured(model, state, y, u, t)
+        weights, info = weigh(state.log_weights, done.log_evidence, done.peak)
+        return replace(state, parts=done.law, log_weights=weights), info

@@ -1,0 +1,32 @@
+"""Mixtures of Gaussians each of which belongs to a mode: the law of the filters for jump-Markov systems."""
+
+import jax
+import jax.numpy as jnp
+
+from motes.core.record import record, replace, static
+from motes.laws.mixture import Mixture
+
+
+@record
+class ModeMixture(Mixture):
+    """A weighted sum of n Gaussians, each the law of the states in one of m modes.
+
+    Attributes:
+        parts: batch of n Gaussians: means `(x, n)`, covariances `(x, x, n)`.
+        log_weights: normalized, `(n,)`.
+        modes: mode of each, `(n,)` int32.
+        count: number m of modes.
+    """
+
+    modes: jax.Array
+    count: int = static()
+
+    def mode_probabilities(self) -> jax.Array:
+        """Probabilities of the modes, `(m,)`."""
+        numbers = jnp.arange(self.count, dtype=self.modes.dtype)
+        return jnp.sum(jnp.where(self.modes == numbers[:, None], self.weights, 0), axis=1)
+
+    def picked(self, ancestors: jax.Array) -> "ModeMixture":
+        """Return the mixture of the named components `(n,)` with their modes, and with equal weights."""
+        chosen = Mixture.picked(self, ancestors)
+        return replace(self, parts=chosen.parts, log_weights=chosen.log_weights, modes=self.modes[ancestors])

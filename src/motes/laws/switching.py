@@ -1,0 +1,154 @@
+"""Laws of a state whose last component is the number of a mode, 0 to m - 1, and of what is measured of it; each mode has its own."""
+
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, random
+from motes.core.record import record
+from motes.laws.conditional import Conditional
+from motes.laws.law import Law
+
+
+def log_chances(probabilities: jax.Array) -> jax.Array:
+    """Logs of probabilities, minus infinity where they are zero."""
+    possible = probabilities > 0
+    return jnp.where(possible, jnp.log(jnp.where(possible, probabilities, 1)), -jnp.inf)
+
+
+def transition_matrix(transition: Any, u: Any, t: Any, dtype: Any) -> jax.Array:
+    """Probabilities `(m, m)` of going from the mode of a row to that of a column; given as an array or as a function of (u, t)."""
+    return jnp.asarray(transition(u, t) if callable(transition) else transition).astype(dtype)
+
+
+def _number(modes: jax.Array, count: int) -> jax.Array:
+    """Turn modes that stand among the states into indices."""
+    return jnp.clip(jnp.round(modes), 0, count - 1).astype(jnp.int32)
+
+
+def _of_mode(modes: jax.Array, each: list[jax.Array]) -> jax.Array:
+    """Pick, for each particle `(n,)`, what its mode gives; particle axis last."""
+    result = each[0]
+    for number, other in enumerate(each[1:], 1):
+        result = jnp.where(modes == number, other, result)
+    return result
+
+
+def _drawn(key: jax.Array, rows: jax.Array) -> jax.Array:
+    """Draw one index `(n,)` for each column of probabilities `(m, n)`."""
+    edges = jnp.cumsum(rows, axis=0)
+    return jnp.sum(random.uniform(key, rows.shape[1:], rows.dtype) * edges[-1] >= edges[:-1], axis=0)
+
+
+@record
+class SwitchingLaw(Law):
+    """Law of a state and its mode.
+
+    Attributes:
+        probabilities: of the modes, `(m,)`.
+        laws: law of the rest of the state in each mode.
+    """
+
+    probabilities: jax.Array
+    laws: tuple[Law, ...]
+
+    def mean(self) -> jax.Array:
+        """Mean `(x + 1,)`; the last component is the mean of the mode's number."""
+        return self._spread()[0] @ self.probabilities
+
+    def cov(self) -> jax.Array:
+        """Covariance within and between the modes, `(x + 1, x + 1)`."""
+        points, inside = self._spread()
+        off = points - (points @ self.probabilities)[:, None]
+        return (off * self.probabilities) @ off.T + jnp.pad(inside @ self.probabilities, (0, 1))
+
+    def _spread(self) -> tuple[jax.Array, jax.Array]:
+        """Means with the mode's number `(x + 1, m)`, and covariances `(x, x, m)`."""
+        means = jnp.stack([law.mean() for law in self.laws], axis=-1)
+        numbers = jnp.arange(len(self.laws), dtype=means.dtype)
+        return jnp.concatenate([means, numbers[None]]), jnp.stack([law.cov() for law in self.laws], axis=-1)
+
+    def sample(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n points, `(x + 1, n)`."""
+        rows = jnp.broadcast_to(self.probabilities[:, None], (len(self.laws), n))
+        modes = _drawn(random.child(key, 0), rows)
+        points = _of_mode(modes, [law.sample(random.child(key, 1), n) for law in self.laws])
+        return jnp.concatenate([points, modes[None].astype(points.dtype)])
+
+    def log_prob(self, value: jax.Array) -> jax.Array:
+        """Log density at `(x + 1,)` or `(x + 1, n)`."""
+        modes = _number(value[-1], len(self.laws))
+        return log_chances(self.probabilities)[modes] + _of_mode(modes, [law.log_prob(value[:-1]) for law in self.laws])
+
+
+@record
+class SwitchingDynamics(Conditional):
+    """The mode goes on by its chain, then the rest of the state by the dynamics of the new mode.
+
+    Attributes:
+        transition: probabilities `(m, m)` or a function of (u, t) that returns them.
+        parts: dynamics of each mode.
+    """
+
+    transition: jax.Array | Callable[[Any, Any], Any]
+    parts: tuple[Conditional, ...]
+
+    def given(self, x: jax.Array, u: Any, t: Any) -> Law:
+        """Refuse: a Gaussian says little of a mode."""
+        _refuse_moments()
+
+    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Draw one state for each particle, `(x + 1, n)`."""
+        rows = transition_matrix(self.transition, u, t, X.dtype)[_number(X[-1], len(self.parts))].T
+        modes = _drawn(random.child(key, 0), rows)
+        # one block of noise serves all modes, since each particle takes what only one of them gives
+        moved = _of_mode(modes, [part.sample(random.child(key, 1), X[:-1], u, t) for part in self.parts])
+        return jnp.concatenate([moved, modes[None].astype(X.dtype)])
+
+    def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Log density given each particle; see `Conditional`."""
+        before, after = (_number(modes, len(self.parts)) for modes in (X[-1], value[-1]))
+        chances = log_chances(transition_matrix(self.transition, u, t, X.dtype))[before, after]
+        return chances + _of_mode(after, [part.log_prob(value[:-1], X[:-1], u, t) for part in self.parts])
+
+
+@record
+class SwitchingSensor(Conditional):
+    """The sensor of the mode that the state is in.
+
+    Attributes:
+        parts: sensor of each mode.
+    """
+
+    parts: tuple[Conditional, ...]
+
+    @property
+    def marginalizes(self) -> bool:  # type: ignore[override]
+        """Whether the sensors of all modes do."""
+        return all(part.marginalizes for part in self.parts)
+
+    def given(self, x: jax.Array, u: Any, t: Any) -> Law:
+        """Refuse: a Gaussian says little of a mode."""
+        _refuse_moments()
+
+    def _each(self, X: jax.Array, ask: Callable[[Conditional, jax.Array], jax.Array]) -> jax.Array:
+        return _of_mode(_number(X[-1], len(self.parts)), [ask(part, X[:-1]) for part in self.parts])
+
+    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Draw one measurement for each particle, `(y, n)`."""
+        return self._each(X, lambda part, X: part.sample(key, X, u, t))
+
+    def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Log density given each particle; see `Conditional`."""
+        return self._each(X, lambda part, X: part.log_prob(value, X, u, t))
+
+    def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Largest value that `log_prob` can take for each particle."""
+        return self._each(X, lambda part, X: part.ceiling(value, X, u, t))
+
+
+def _refuse_moments() -> NoReturn:
+    checks.refuse("joined model", "a filter that needs no mean and covariance of dynamics and sensor", "one that does",
+                  "Use InteractingMultipleModel, JumpMarkovFilter or ParticleFilter.")
