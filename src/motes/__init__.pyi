@@ -16,6 +16,7 @@ from .costs.measure import StepTime as StepTime
 from .costs.measure import fit_step_time as fit_step_time
 from .costs.measure import seconds_per_step as seconds_per_step
 from .filters import keep as keep
+from .filters.auxiliary import AuxiliaryParticleFilter as AuxiliaryParticleFilter
 from .filters.cost_reference import CostReferenceParticleFilter as CostReferenceParticleFilter
 from .filters.cubature_kalman import CubatureKalmanFilter as CubatureKalmanFilter
 from .filters.ensemble_kalman import EnsembleKalmanFilter as EnsembleKalmanFilter
@@ -55,6 +56,10 @@ from .laws.noise import Laplace as Laplace
 from .laws.noise import StudentT as StudentT
 from .laws.noise import Uniform as Uniform
 from .models.mixed_linear import MixedLinearModel as MixedLinearModel
+from .models.proposals import ExtendedKalmanProposal as ExtendedKalmanProposal
+from .models.proposals import OptimalProposal as OptimalProposal
+from .models.proposals import Proposal as Proposal
+from .models.proposals import UnscentedProposal as UnscentedProposal
 from .models.simulate import simulate as simulate
 from .models.state_space import StateSpaceModel as StateSpaceModel
 from .models.structure import Structure as Structure

@@ -16,6 +16,7 @@ from motes.core import linalg
 from motes.core.record import record, static
 from motes.laws.conditional import Conditional, matrix_over, over_particles
 from motes.laws.gaussian import Correction, Gaussian
+from motes.models import linearize
 
 
 @record
@@ -99,5 +100,5 @@ def measured(sensor: Conditional, rule: SigmaPoints, law: Gaussian, y: jax.Array
     """Condition a Gaussian on a measurement `(y,)` with the joint moments of state and measurement; NaN means not measured."""
     factor = linalg.cholesky(law.covariance)
     plane = fitted(sensor, rule, law, factor, u, t)
-    slope = linalg.transpose(linalg.solve_upper(factor, linalg.transpose(plane.tilt)))
+    slope = linearize.untilted(plane.tilt, factor)
     return law.corrected(sensor.residual(y, plane.center + plane.offset), slope, plane.noise, ~jnp.isnan(y))

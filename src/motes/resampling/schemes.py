@@ -1,23 +1,59 @@
 """How ancestors are drawn. Every scheme is unbiased: particle i gets n w_i children on average; indices come out in order, int32.
 
+Schemes that leave particles in their places, whose indices are in no order, are in `slotwise.py`.
+
 No scheme trusts a float32 cumulative sum: n w is split into whole numbers, summed exactly, and fractions, summed in short blocks, so that
 every boundary is right to about 1e-3 children up to 1e7 particles (Douc, Cappe, Moulines 2005 compare the schemes).
 """
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 
 from motes.core import random
-from motes.core.record import record
+from motes.core.record import record, replace
 
 _BLOCK = 1024
 
 
+class Weighted(Protocol):
+    """A law of n weighted particles of any kind."""
+
+    @property
+    def log_weights(self) -> jax.Array:
+        """Normalized, `(n,)`."""
+        ...
+
+    def picked(self, ancestors: jax.Array) -> "Weighted":
+        """Return the law of the named particles `(n,)`, with equal weights."""
+        ...
+
+    def unpicked(self) -> "Weighted":
+        """Return the law as it is, each particle its own ancestor."""
+        ...
+
+
+W = TypeVar("W", bound=Weighted)
+
+
 class Scheme(ABC):
     """A way of drawing ancestors."""
+
+    def resampled(self, key: jax.Array, cloud: W, first: jax.Array | None) -> W:
+        """Return n particles with the ancestors drawn.
+
+        Args:
+            key: JAX key.
+            cloud: law of n weighted particles.
+            first: normalized log weights `(n,)` that ancestors are drawn by; None for those of the cloud. A particle's weight is what its
+                weight in the cloud exceeds them by.
+        """
+        drawn_by = cloud.log_weights if first is None else first
+        ancestors = self.ancestors(key, drawn_by, drawn_by.shape[0])
+        picked: W = cloud.picked(ancestors)  # type: ignore[assignment]
+        return picked if first is None else weighted_anew(picked, cloud.log_weights, first, ancestors)
 
     @abstractmethod
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
@@ -29,8 +65,15 @@ class Scheme(ABC):
             n: number of children.
 
         Returns:
-            Indices `(n,)` int32, non-decreasing.
+            Indices `(n,)` int32; non-decreasing, except from a scheme of `slotwise.py`.
         """
+
+
+def weighted_anew(picked: W, log_weights: jax.Array, drawn_by: jax.Array, ancestors: jax.Array) -> W:
+    """Multiply the weights of picked particles by what the weights of their ancestors exceed those that they were drawn by."""
+    # a biased scheme may pick what has no weight: it gets none
+    excess = jnp.where(drawn_by[ancestors] > -jnp.inf, (log_weights - drawn_by)[ancestors], -jnp.inf)
+    return replace(picked, log_weights=picked.log_weights + excess)
 
 
 class Boundaries(NamedTuple):
