@@ -95,6 +95,17 @@ CASES = {
     "nothing to score at": (
         lambda: run_with(mo.AuxiliaryParticleFilter(n=3), model=good_model(dynamics=mo.Custom(sample=lambda key, x, u, t: x))),
         "AuxiliaryParticleFilter dynamics: expected a mean function (particles are scored at it), got Custom. Use a ParticleFilter."),
+    "Metropolis steps": (lambda: mo.MetropolisResampling(steps=0), "MetropolisResampling steps: expected a whole number of at least 1, got 0"),
+    "trials": (lambda: mo.RejectionResampling(trials=2.5), "RejectionResampling trials: expected a whole number of at least 1, got 2.5"),
+    "entropy of transport": (lambda: mo.EntropicTransport(entropy=0.0), "EntropicTransport entropy: expected a number above 0, got 0.0"),
+    "transport of scores": (
+        lambda: run_with(mo.AuxiliaryParticleFilter(n=9, scheme=mo.EntropicTransport())),
+        "EntropicTransport: expected a filter with a Cloud that does not look ahead by scores, got one with scores. Use Systematic."),
+    "transport of Gaussians": (
+        lambda: run_with(mo.MarginalizedParticleFilter(n=9, scheme=mo.EntropicTransport())), "does not look ahead by scores, got MarginalCloud"),
+    "transport of mixands": (
+        lambda: run_with(mo.GaussianSumParticleFilter(n=9, mixands=3, form="II", scheme=mo.EntropicTransport())),
+        "EntropicTransport: expected a filter that moves the particles of a Cloud, got one that asks for ancestors."),
     "auxiliary n": (lambda: mo.AuxiliaryParticleFilter(n=0), "AuxiliaryParticleFilter n: expected a whole number of at least 1, got 0"),
     "kernel width": (lambda: mo.KalmanParticleKernelFilter(n=3, width=1.5), "KalmanParticleKernelFilter width: expected a number above 0 and at most 1, got 1.5"),
     "kernel slope": (lambda: mo.KalmanParticleKernelFilter(n=3, slope="ukf"), "KalmanParticleKernelFilter slope: expected one of 'sigma', 'jacobian', got 'ukf'"),
