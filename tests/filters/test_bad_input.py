@@ -103,8 +103,8 @@ CASES = {
         "EntropicTransport: expected a filter with a Cloud that does not look ahead by scores, got one with scores. Use Systematic."),
     "transport of Gaussians": (
         lambda: run_with(mo.MarginalizedParticleFilter(n=9, scheme=mo.EntropicTransport())), "does not look ahead by scores, got MarginalCloud"),
-    "transport of mixands": (
-        lambda: run_with(mo.GaussianSumParticleFilter(n=9, mixands=3, form="II", scheme=mo.EntropicTransport())),
+    "transport of costs": (
+        lambda: run_with(mo.CostReferenceParticleFilter(n=9, scheme=mo.EntropicTransport())),
         "EntropicTransport: expected a filter that moves the particles of a Cloud, got one that asks for ancestors."),
     "auxiliary n": (lambda: mo.AuxiliaryParticleFilter(n=0), "AuxiliaryParticleFilter n: expected a whole number of at least 1, got 0"),
     "kernel width": (lambda: mo.KalmanParticleKernelFilter(n=3, width=1.5), "KalmanParticleKernelFilter width: expected a number above 0 and at most 1, got 1.5"),

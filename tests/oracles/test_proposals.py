@@ -77,7 +77,7 @@ def test_local_proposals_are_the_optimal_one_where_the_sensor_is_linear(double):
     model = linear()
     ys = measured(model)
     kinds = (mo.OptimalProposal(), mo.ExtendedKalmanProposal(), mo.UnscentedProposal())
-    runs = [mo.run(1, mo.ParticleFilter(n=50, proposal=proposal), model, ys) for proposal in kinds]
+    runs = [mo.run(1, mo.ParticleFilter(n=50, proposal=proposal), model, ys, keep=mo.keep.means) for proposal in kinds]
     for other in runs[1:]:
         assert np.allclose(other.mean, runs[0].mean, atol=1e-9) and np.allclose(other.log_evidence, runs[0].log_evidence, atol=1e-9)
 
@@ -87,13 +87,13 @@ def test_optimal_weight_is_the_predictive_density(double):
     model = linear()
     X = np.asarray(model.initial.sample(jax.random.key(1), 40))
     y = jnp.array([0.7, -1.1])
-    done = mo.OptimalProposal().proposed(jax.random.key(2), model, jnp.asarray(X), y, None, 1)
+    move = jax.jit(lambda key, X: mo.OptimalProposal().proposed(key, model, X, y, None, 1))
+    done = move(jax.random.key(2), jnp.asarray(X))
     wanted = [multivariate_normal(H @ A @ x, H @ Q @ H.T + R).logpdf(y) for x in X.T]
     assert np.allclose(done.log_weight, wanted, atol=1e-10)
     assert np.allclose(done.particles[0], (A @ X)[0], atol=1e-12)
     assert np.allclose(mo.OptimalProposal().score(model, jnp.asarray(X), y, None, 1), wanted, atol=1e-10)
-    many = np.repeat(X[:, :1], 60_000, axis=1)
-    drawn = np.asarray(mo.OptimalProposal().proposed(jax.random.key(3), model, jnp.asarray(many), y, None, 1).particles)
+    drawn = np.asarray(move(jax.random.key(3), jnp.asarray(np.repeat(X[:, :1], 60_000, axis=1))).particles)
     gain = Q @ H.T @ np.linalg.inv(H @ Q @ H.T + R)
     mean, cov = A @ X[:, 0] + gain @ (np.asarray(y) - H @ A @ X[:, 0]), Q - gain @ H @ Q
     assert np.all(np.abs(drawn.mean(axis=1) - mean) < 5.5 * np.sqrt(np.diag(cov) / 60_000) + 1e-9)
@@ -177,7 +177,7 @@ def test_float32_holds_for_a_sharp_sensor():
     X = model.initial.sample(jax.random.key(1), 500)
     wanted = multivariate_normal(np.zeros(2), H @ Q @ H.T + 1e-5 * R).logpdf((np.asarray(y)[:, None] - H @ A @ np.asarray(X)).T)
     for proposal in (mo.ExtendedKalmanProposal(), mo.UnscentedProposal()):
-        done = proposal.proposed(jax.random.key(2), model, X, y, None, 1)
+        done = jax.jit(lambda X, proposal=proposal: proposal.proposed(jax.random.key(2), model, X, y, None, 1))(X)
         assert done.log_weight.dtype == np.float32 and np.abs(np.asarray(done.log_weight) - wanted).max() < 0.05
 
 

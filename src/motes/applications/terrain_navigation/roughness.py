@@ -15,6 +15,7 @@ import numpy as np
 
 from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
 from motes.bounds.kalman_at_truth import kalman_at_truth
+from motes.core import linalg
 from motes.core.record import replace
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
