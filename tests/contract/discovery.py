@@ -50,6 +50,7 @@ def examples():
     found = {name: example(cls) for name, cls in filter_classes().items()}
     proposal = mo.AdditiveGaussian(lambda x, uy, t: 0.8 * x, [[1.5, 0.2], [0.2, 1.0]])
     found["ParticleFilter, proposal"] = mo.ParticleFilter(n=300, proposal=proposal)
+    found["ParticleFilter, extended Kalman"] = mo.ParticleFilter(n=300, proposal=mo.ExtendedKalmanProposal())
     found["ParticleFilter, SIR stratified"] = mo.ParticleFilter(n=300, scheme=mo.Stratified(), policy=mo.Always())
     found["ParticleFilter, SIS"] = mo.ParticleFilter(n=300, policy=mo.Never())
     found["MarginalizedParticleFilter, one state"] = mo.MarginalizedParticleFilter(n=300, linear=("b",))

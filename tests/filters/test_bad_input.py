@@ -97,7 +97,37 @@ CASES = {
     # filters
     "n": (lambda: mo.ParticleFilter(n=0), "ParticleFilter n: expected a whole number of at least 1, got 0"),
     "n not whole": (lambda: mo.MarginalizedParticleFilter(n=10.5), "MarginalizedParticleFilter n: expected a whole number of at least 1, got 10.5"),
-    "proposal": (lambda: mo.ParticleFilter(n=3, proposal=EYE), "ParticleFilter proposal: expected a conditional such as AdditiveGaussian, got ndarray"),
+    "proposal": (lambda: mo.ParticleFilter(n=3, proposal=EYE), "ParticleFilter proposal: expected a proposal such as OptimalProposal(), or a conditional such as AdditiveGaussian, got ndarray"),
+    "not optimal": (
+        lambda: run_with(mo.ParticleFilter(n=3, proposal=mo.OptimalProposal())),
+        "ParticleFilter sensor: expected one that is linear-Gaussian in the states (OptimalProposal is exact), got one that is nonlinear in a. Use ExtendedKalmanProposal"),
+    "not optimal with angles": (
+        lambda: run_with(mo.ParticleFilter(n=3, proposal=mo.OptimalProposal()), model=good_model(sensor=mo.LinearGaussian([[1.0, 0.0]], [[1.0]], angles=(0,)))),
+        "got angles among its components (they are wrapped)"),
+    "not optimal with noise": (
+        lambda: run_with(mo.ParticleFilter(n=3, proposal=mo.OptimalProposal()), model=good_model(sensor=mo.LinearGaussian([[1.0, 0.0]], lambda x, u, t: x[1:, None] ** 2))),
+        "got one whose noise covariance depends on b"),
+    "proposal without Gaussian steps": (
+        lambda: run_with(mo.ParticleFilter(n=3, proposal=mo.UnscentedProposal()), model=good_model(dynamics=mo.AdditiveNoise(lambda x, u, t: x, mo.Laplace([0.5, 0.5])))),
+        "ParticleFilter dynamics: expected additive Gaussian noise (UnscentedProposal bends it), got AdditiveNoise. Use no proposal"),
+    "proposal without moments": (
+        lambda: run_with(mo.AuxiliaryParticleFilter(n=3, proposal=mo.ExtendedKalmanProposal()), model=good_model(sensor=mo.Custom(log_prob=lambda y, x, u, t: 0.0))),
+        "AuxiliaryParticleFilter sensor: expected a mean function and a noise covariance (ExtendedKalmanProposal looks at them), got Custom"),
+    "nothing to score at": (
+        lambda: run_with(mo.AuxiliaryParticleFilter(n=3), model=good_model(dynamics=mo.Custom(sample=lambda key, x, u, t: x))),
+        "AuxiliaryParticleFilter dynamics: expected a mean function (particles are scored at it), got Custom. Use a ParticleFilter."),
+    "Metropolis steps": (lambda: mo.MetropolisResampling(steps=0), "MetropolisResampling steps: expected a whole number of at least 1, got 0"),
+    "trials": (lambda: mo.RejectionResampling(trials=2.5), "RejectionResampling trials: expected a whole number of at least 1, got 2.5"),
+    "entropy of transport": (lambda: mo.EntropicTransport(entropy=0.0), "EntropicTransport entropy: expected a number above 0, got 0.0"),
+    "transport of scores": (
+        lambda: run_with(mo.AuxiliaryParticleFilter(n=9, scheme=mo.EntropicTransport())),
+        "EntropicTransport: expected a filter with a Cloud that does not look ahead by scores, got one with scores. Use Systematic."),
+    "transport of Gaussians": (
+        lambda: run_with(mo.MarginalizedParticleFilter(n=9, scheme=mo.EntropicTransport())), "does not look ahead by scores, got MarginalCloud"),
+    "transport of costs": (
+        lambda: run_with(mo.CostReferenceParticleFilter(n=9, scheme=mo.EntropicTransport())),
+        "EntropicTransport: expected a filter that moves the particles of a Cloud, got one that asks for ancestors."),
+    "auxiliary n": (lambda: mo.AuxiliaryParticleFilter(n=0), "AuxiliaryParticleFilter n: expected a whole number of at least 1, got 0"),
     "kernel width": (lambda: mo.KalmanParticleKernelFilter(n=3, width=1.5), "KalmanParticleKernelFilter width: expected a number above 0 and at most 1, got 1.5"),
     "kernel slope": (lambda: mo.KalmanParticleKernelFilter(n=3, slope="ukf"), "KalmanParticleKernelFilter slope: expected one of 'sigma', 'jacobian', got 'ukf'"),
     "kernel state": (lambda: run_with(mo.KalmanParticleKernelFilter(n=3, nonlinear=("z",))), "state: expected one of the names a, b or an index below 2, got 'z'"),

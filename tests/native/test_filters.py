@@ -152,6 +152,8 @@ def test_what_runs_is_explained():
     assert "move" in text and "native, fused" in text and "engine in force   jax" in text
     stages = dict(mo.explain(mo.ParticleFilter(n=1000, scheme=mo.Stratified()), RADAR).stages)
     assert stages["move"] == "native kernels around JAX: Stratified resampling" and stages["weigh"].startswith("native, fused")
+    stages = dict(mo.explain(mo.ParticleFilter(n=1000, scheme=mo.StopGradient()), RADAR).stages)
+    assert stages["move"] == "native kernels around JAX: StopGradient resampling"
     looping = mo.AdditiveGaussian(lambda x, u, t: jax.lax.while_loop(lambda z: z[0] < 0, lambda z: z + 1, x)[:1], [[1.0]])
     stages = dict(mo.explain(mo.ParticleFilter(n=1000), mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q), looping)).stages)
     assert "while" in stages["weigh"]

@@ -130,13 +130,13 @@ def test_regression_is_exact_for_second_degree(double):
     root = rng.normal(size=(3, 3))
     P, m = root @ root.T, np.array([0.7, -0.4, 1.3])
     sensor = mo.AdditiveGaussian(lambda x, u, t: (x[0] ** 2 + 3 * x[0] * x[2] - x[1])[None], [[0.1]])
-    found = linearize.regressed(sensor, (0, 2), mo.Gaussian(m[:, None], P[..., None]), None, 0)
     B, K = np.array([[1.0, 1.5], [1.5, 0.0]]), P[np.ix_([0, 2], [0, 2])]
+    L = np.linalg.cholesky(K)
+    found = linearize.regressed(sensor, (0, 2), jnp.asarray(m[:, None]), jnp.asarray(L), None, 0)
     c = m[[0, 2]]
     assert np.isclose(found.prediction[0, 0], c @ B @ c + np.trace(B @ K) - m[1])
-    assert np.allclose(found.slope[0, :, 0], 2 * B @ c)
+    assert np.allclose(linearize.untilted(found.tilt, jnp.asarray(L))[0, :, 0], 2 * B @ c)
     # sigma points see the second degree along the columns of L alone: of 2 tr(B K B K) they give the squares of the diagonal of L' B L
-    L = np.linalg.cholesky(K)
     bends = np.diag(L.T @ B @ L)
     assert np.isclose(found.unexplained[0, 0, 0], 3 * np.sum(bends**2) - np.sum(bends) ** 2)
 

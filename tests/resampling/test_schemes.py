@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 import motes as mo
 
-SCHEMES = [mo.Systematic(), mo.Stratified(), mo.Residual(), mo.Multinomial()]
+SCHEMES = [mo.Systematic(), mo.Stratified(), mo.Residual(), mo.Multinomial(), mo.SSP()]
 SYSTEMATIC = jax.jit(mo.Systematic().at, static_argnums=2)
 LAST_UNIFORM = np.float32(1 - 2**-24)
 SIZE = 400
@@ -117,6 +117,14 @@ def test_mean_counts_are_unbiased(scheme):
     assert np.all(counts.sum(axis=1) == n)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_counts_of_the_sampling_process_are_within_one(kind):
+    draw = jax.jit(mo.SSP().ancestors, static_argnums=2)
+    for n in (1, 2, 3, 5, 4096):
+        log_weights = log(adversarial(max(n, 3), kind))
+        check_counts(np.asarray(draw(jax.random.key(n), log_weights, n)), np.exp(np.asarray(log_weights, np.float64)))
+
+
 def test_variance_of_counts_falls_from_multinomial_to_systematic():
     weights = np.random.default_rng(3).exponential(size=50)
     log_weights = log(weights)
@@ -126,7 +134,7 @@ def test_variance_of_counts_falls_from_multinomial_to_systematic():
         ancestors = jax.jit(jax.vmap(lambda key, scheme=scheme: scheme.ancestors(key, log_weights, 50)))(keys)
         spread[by_name(scheme)] = np.stack([np.bincount(row, minlength=50) for row in np.asarray(ancestors)]).var(axis=0).sum()
     assert spread["Multinomial"] > spread["Residual"] > spread["Systematic"]
-    assert spread["Multinomial"] > spread["Stratified"]
+    assert spread["Multinomial"] > spread["Stratified"] and spread["Residual"] > spread["SSP"]
 
 
 def test_policies():

@@ -14,10 +14,11 @@ from motes.laws.conditional import Conditional, Custom
 from motes.models import linearize
 from motes.models.jump_markov import JumpMarkovModel
 from motes.models.mixed_linear import MixedLinearModel
+from motes.models.proposals import Proposal
 from motes.models.state_space import StateSpaceModel
 from motes.native import cloudwise
-from motes.resampling.policy import Policy, Weighted, resample
-from motes.resampling.schemes import Scheme
+from motes.resampling.policy import Policy, resample
+from motes.resampling.schemes import Scheme, Weighted
 
 C = TypeVar("C", bound=Weighted)
 
@@ -120,6 +121,15 @@ def by_likelihood(sensor: Conditional, y: jax.Array, u: Any, t: Any) -> Callable
         return cloud, sensor.log_prob(y, cloud.particles, u, t), sensor.ceiling(y, cloud.particles, u, t)
 
     return judge
+
+
+def guided(
+    key: jax.Array, proposal: Proposal, model: StateSpaceModel, parents: Cloud, y: jax.Array, u: Any, t: Any
+) -> tuple[Cloud, Info]:
+    """Move particles by a proposal that knows the measurement, and weigh them."""
+    moved, log_weight, ceiling = proposal.proposed(key, model, parents.particles, y, u, t)
+    weights, info = weigh(parents.log_weights, log_weight, ceiling)
+    return replace(parents, particles=moved, log_weights=weights), info
 
 
 @record

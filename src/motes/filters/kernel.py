@@ -163,8 +163,10 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         def judge(law: Mixture) -> tuple[Mixture, jax.Array, jax.Array]:
             X, R = law.parts.center, matrix_over(sensor.Q, law.parts.center, u, t)
             if self.slope == "sigma":
-                prediction, curved, unexplained = linearize.regressed(sensor, model.nonlinear, law.parts, u, t)
-                R = linalg.add(unexplained, R)
+                cov = law.parts.covariance
+                factor = linalg.cholesky(linalg.take(linalg.take(cov, model.nonlinear), model.nonlinear, axis=1))
+                prediction, tilt, unexplained = linearize.regressed(sensor, model.nonlinear, X, factor, u, t)
+                curved, R = linearize.untilted(tilt, factor), linalg.add(unexplained, R)
             else:
                 prediction, curved = sensor.means(X, u, t), slopes(model.nonlinear, X)
             straight = slopes(model.linear, X) if shared is None else shared

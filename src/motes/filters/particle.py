@@ -11,9 +11,10 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, reweigh, weigh
+from motes.filters.interface import Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, guided, reweigh
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
+from motes.models.proposals import Proposal, as_proposal
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import ESS, Policy, resample
 from motes.resampling.schemes import Scheme, Systematic
@@ -25,13 +26,14 @@ class ParticleFilter(TwoStageFilter):
 
     Attributes:
         n: number of particles.
-        proposal: law of x_t given x_{t-1} and y_t: a conditional whose functions get the pair `(u, y)` for inputs; None for the dynamics.
+        proposal: how particles are moved once y_t is known: `OptimalProposal`, `ExtendedKalmanProposal`, `UnscentedProposal`, or a law of
+            x_t given x_{t-1} and y_t, a conditional whose functions get the pair `(u, y)` for inputs. None for the dynamics.
         scheme: how ancestors are drawn.
         policy: when to resample, at the start of a step.
     """
 
     n: int = static()
-    proposal: Conditional | None = None
+    proposal: Proposal | Conditional | None = None
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
 
@@ -42,8 +44,7 @@ class ParticleFilter(TwoStageFilter):
             MotesError: n is not a positive whole number, or another knob has the wrong kind.
         """
         checks.positive_integer("ParticleFilter n", self.n)
-        if self.proposal is not None and not isinstance(self.proposal, Conditional):
-            checks.refuse("ParticleFilter proposal", "a conditional such as AdditiveGaussian", type(self.proposal).__name__)
+        as_proposal("ParticleFilter proposal", self.proposal)
 
     @property
     def look_ahead(self) -> bool:  # type: ignore[override]
@@ -51,12 +52,14 @@ class ParticleFilter(TwoStageFilter):
         return self.proposal is not None
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
-        """Ask for dynamics that can be drawn from (or, with a proposal, have a density) and a sensor with a density.
+        """Ask for dynamics that can be drawn from, a sensor with a density, and what the proposal needs.
 
         Raises:
             MotesError: one is missing.
         """
-        return as_particle_model("ParticleFilter", model, transition_density=self.look_ahead)
+        model = as_particle_model("ParticleFilter", model, transition_density=isinstance(self.proposal, Conditional))
+        as_proposal("ParticleFilter proposal", self.proposal).check("ParticleFilter", model, u)
+        return model
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
         """Draw n particles from the initial law."""
@@ -82,11 +85,6 @@ class ParticleFilter(TwoStageFilter):
         predict_key = random.child(key, random.PREDICT)
         cloud = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
         noise_key = random.child(predict_key, random.NOISE)
-        moved = self.proposal.sample(noise_key, cloud.particles, (u, y), t)
-        proposed = self.proposal.log_prob(moved, cloud.particles, (u, y), t)
-        likelihood = model.sensor.log_prob(y, moved, u, t) + model.dynamics.log_prob(moved, cloud.particles, u, t) - proposed
-        ceiling = model.sensor.ceiling(y, moved, u, t) + model.dynamics.ceiling(moved, cloud.particles, u, t) - proposed
-        weights, info = weigh(cloud.log_weights, likelihood, ceiling)
-        after = replace(cloud, particles=moved, log_weights=weights)
+        after, info = guided(noise_key, as_proposal("ParticleFilter proposal", self.proposal), model, cloud, y, u, t)
         blind = replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
         return self.settle(blind, after, info, y)

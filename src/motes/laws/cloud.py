@@ -62,6 +62,12 @@ class Cloud(Law):
         """Return the cloud as it is, each particle its own ancestor."""
         return replace(self, ancestors=jnp.arange(self.ancestors.shape[0], dtype=jnp.int32))
 
+    def transported(self, shares: jax.Array) -> "Cloud":
+        """Return the cloud of n particles, equally weighted, that hold shares `(n, n)` of the old ones (columns sum to n w)."""
+        center = self.mean()[:, None]
+        moved = center + jnp.matmul(self.particles - center, shares.T, precision=jax.lax.Precision.HIGHEST)
+        return Cloud.equal(moved)
+
     def inflated(self, factor: float) -> "Cloud":
         """Return the cloud spread about its mean so that its covariance grows by a factor."""
         center = self.mean()[:, None]

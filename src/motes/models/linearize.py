@@ -81,17 +81,17 @@ class Regression(NamedTuple):
 
     Attributes:
         prediction: mean of the measurement, `(y, n)`.
-        slope: in the k states that were moved, `(y, k, n)`.
+        tilt: slope per standard deviation, that is slope in the k states that were moved times L, `(y, k, n)`.
         unexplained: covariance of the measurement about the plane, `(y, y, n)`.
     """
 
     prediction: jax.Array
-    slope: jax.Array
+    tilt: jax.Array
     unexplained: jax.Array
 
 
-def regressed(sensor: AdditiveGaussian, states: Sequence[int], laws: Gaussian, u: Any, t: Any) -> Regression:
-    """Regress a sensor on some of the states over sigma points of each Gaussian.
+def regressed(sensor: AdditiveGaussian, states: Sequence[int], centers: jax.Array, factor: jax.Array, u: Any, t: Any) -> Regression:
+    """Regress a sensor on some of the states over sigma points of each of n Gaussians.
 
     With L the Cholesky factor of the covariance of the k states and s^2 = max(3, k), the points are the mean (weight 1 - k / s^2) and the
     mean plus and minus s times each column of L (weights 1 / (2 s^2)) (Julier, Uhlmann 1997). Exact for sensors of second degree.
@@ -99,27 +99,31 @@ def regressed(sensor: AdditiveGaussian, states: Sequence[int], laws: Gaussian, u
     Args:
         sensor: the sensor.
         states: indices of the k states; the others stay at their means.
-        laws: means `(x, n)`, covariances `(x, x, n)`.
+        centers: means `(x, n)`.
+        factor: L, `(k, k, *n)`.
         u: inputs of the step.
         t: the time.
     """
-    size = laws.center.shape[0]
+    size = centers.shape[0]
     others = tuple(i for i in range(size) if i not in states)
     order = user_order(others, size)
-    factor = linalg.cholesky(linalg.take(linalg.take(laws.covariance, states), states, axis=1))
     nothing = jnp.zeros((len(others), *factor.shape[1:]), factor.dtype)
     step = np.sqrt(max(3, len(states)))
     steps = step * linalg.take(jnp.concatenate([factor, nothing]), order)
-    moves = [jnp.zeros_like(laws.center), *(sign * steps[:, j] for sign in (1, -1) for j in range(len(states)))]
+    points = [centers, *(linalg.add_vectors(centers, sign * steps[:, j]) for sign in (1, -1) for j in range(len(states)))]
     # point by point: a look-up in a map that shares a loop with anything else is several times slower
-    found = jnp.stack([sensor.means(laws.center + move, u, t) for move in moves], axis=1)
+    found = jnp.stack([sensor.means(X, u, t) for X in points], axis=1)
     middle, (above, below) = found[:, 0], jnp.split(sensor.residual(found[:, 1:], found[:, :1]), 2, axis=1)
     even, odd = (above + below) / (2 * step), (above - below) / (2 * step)
     bend = sum((even[:, j] for j in range(len(states))), jnp.zeros_like(middle)) / step
     # weighted mean of squares less square of the mean; what the slope explains, the odd parts, has dropped out of the difference
     unexplained = linalg.product_transposed(even, even) - bend[:, None] * bend[None]
-    slope = linalg.transpose(linalg.solve_upper(factor, linalg.transpose(odd)))
-    return Regression(middle + bend, slope, unexplained)
+    return Regression(middle + bend, odd, unexplained)
+
+
+def untilted(tilt: jax.Array, factor: jax.Array) -> jax.Array:
+    """Return the slope `(z, k, *n)` of a plane from that per standard deviation, slope times L, and the factor L `(k, k, *n)`."""
+    return linalg.transpose(linalg.solve_upper(factor, linalg.transpose(tilt)))
 
 
 def has_moments(part: Conditional) -> bool:

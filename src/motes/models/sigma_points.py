@@ -16,6 +16,7 @@ from motes.core import linalg
 from motes.core.record import record, static
 from motes.laws.conditional import Conditional, matrix_over, over_particles
 from motes.laws.gaussian import Correction, Gaussian
+from motes.models import linearize
 
 
 @record
@@ -105,5 +106,4 @@ def affine(part: Conditional, rule: SigmaPoints, law: Gaussian, u: Any, t: Any) 
     """Return the mean over a Gaussian `(z,)`, the slope `(z, x)` of the plane there and the noise about it `(z, z)`."""
     factor = linalg.cholesky(law.covariance)
     plane = fitted(part, rule, law, factor, u, t)
-    slope = linalg.transpose(linalg.solve_upper(factor, linalg.transpose(plane.tilt)))
-    return plane.center + plane.offset, slope, plane.noise
+    return plane.center + plane.offset, linearize.untilted(plane.tilt, factor), plane.noise

@@ -95,9 +95,9 @@ def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.A
     return differentiable(native, pure)(log_weights, knobs, policy)
 
 
-def resample(key: jax.Array, scheme: Scheme, policy: Policy, law: Any) -> Any:
+def resample(key: jax.Array, scheme: Scheme, policy: Policy, law: Any, log_score: jax.Array | None = None) -> Any:
     """See `policy.resample`."""
-    chosen = ancestors(key, scheme, policy, law.log_weights)
+    chosen = ancestors(key, scheme, policy, law.log_weights) if log_score is None else None
     return None if chosen is None else replace(law.picked(chosen[0]), log_weights=chosen[1])
 
 

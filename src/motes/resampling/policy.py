@@ -1,14 +1,13 @@
 """When to resample: a value apart from how (schemes.py)."""
 
 from abc import ABC, abstractmethod
-from typing import Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 
 from motes.core import checks, engine, logspace
 from motes.core.record import record
-from motes.resampling.schemes import Scheme
+from motes.resampling.schemes import Scheme, W
 
 
 class Policy(ABC):
@@ -75,34 +74,24 @@ class Entropy(Policy):
         return logspace.entropy_deficit(log_weights) > self.threshold
 
 
-class Weighted(Protocol):
-    """A law of n weighted particles of any kind."""
-
-    @property
-    def log_weights(self) -> jax.Array:
-        """Normalized, `(n,)`."""
-        ...
-
-    def picked(self, ancestors: jax.Array) -> "Weighted":
-        """Return the law of the named particles `(n,)`, with equal weights."""
-        ...
-
-    def unpicked(self) -> "Weighted":
-        """Return the law as it is, each particle its own ancestor."""
-        ...
-
-
-W = TypeVar("W", bound=Weighted)
-
-
 @engine.replaceable
-def resample(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W) -> W:
-    """Return the cloud resampled where the policy says so; the law it stands for is unchanged on average."""
+def resample(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W, log_score: jax.Array | None = None) -> W:
+    """Return the cloud resampled where the policy says so; the law it stands for is unchanged on average.
+
+    Args:
+        key: JAX key.
+        scheme: how.
+        policy: when, judged by the weights that particles are picked by.
+        cloud: law of n weighted particles.
+        log_score: log of factors on the weights that particles are picked by, `(n,)`, for a filter that looks ahead. Particles that were
+            picked then keep the inverse of their factor as weight: weights add up to one on average, not each time.
+    """
+    first = None if log_score is None else logspace.normalize(cloud.log_weights + log_score)[0]
 
     def chosen() -> W:
-        return cloud.picked(scheme.ancestors(key, cloud.log_weights, cloud.log_weights.shape[0]))  # type: ignore[return-value]
+        return scheme.resampled(key, cloud, first)
 
-    needed = policy.needed(cloud.log_weights)
+    needed = policy.needed(cloud.log_weights if first is None else first)
     if isinstance(needed, bool):
         return chosen() if needed else cloud.unpicked()  # type: ignore[return-value]
     return jax.lax.cond(jnp.asarray(needed), chosen, cloud.unpicked)

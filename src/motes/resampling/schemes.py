@@ -1,23 +1,59 @@
 """How ancestors are drawn. Every scheme is unbiased: particle i gets n w_i children on average; indices come out in order, int32.
 
+Schemes that leave particles in their places, whose indices are in no order, are in `slotwise.py`.
+
 No scheme trusts a float32 cumulative sum: n w is split into whole numbers, summed exactly, and fractions, summed in short blocks, so that
 every boundary is right to about 1e-3 children up to 1e7 particles (Douc, Cappe, Moulines 2005 compare the schemes).
 """
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from motes.core import random
-from motes.core.record import record
+from motes.core import checks, random
+from motes.core.record import record, replace
 
 _BLOCK = 1024
 
 
+class Weighted(Protocol):
+    """A law of n weighted particles of any kind."""
+
+    @property
+    def log_weights(self) -> jax.Array:
+        """Normalized, `(n,)`."""
+        ...
+
+    def picked(self, ancestors: jax.Array) -> "Weighted":
+        """Return the law of the named particles `(n,)`, with equal weights."""
+        ...
+
+    def unpicked(self) -> "Weighted":
+        """Return the law as it is, each particle its own ancestor."""
+        ...
+
+
+W = TypeVar("W", bound=Weighted)
+
+
 class Scheme(ABC):
     """A way of drawing ancestors."""
+
+    def resampled(self, key: jax.Array, cloud: W, first: jax.Array | None) -> W:
+        """Return n particles with the ancestors drawn.
+
+        Args:
+            key: JAX key.
+            cloud: law of n weighted particles.
+            first: normalized log weights `(n,)` that ancestors are drawn by; None for those of the cloud. A particle's weight is what its
+                weight in the cloud exceeds them by.
+        """
+        drawn_by = cloud.log_weights if first is None else first
+        ancestors = self.ancestors(key, drawn_by, drawn_by.shape[0])
+        picked: W = cloud.picked(ancestors)  # type: ignore[assignment]
+        return picked if first is None else weighted_anew(picked, cloud.log_weights, first, ancestors)
 
     @abstractmethod
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
@@ -29,8 +65,37 @@ class Scheme(ABC):
             n: number of children.
 
         Returns:
-            Indices `(n,)` int32, non-decreasing.
+            Indices `(n,)` int32; non-decreasing, except from a scheme of `slotwise.py`.
         """
+
+
+    def conditional_ancestors(self, key: jax.Array, log_weights: jax.Array, fixed: jax.Array, slot: int = 0) -> jax.Array:
+        """Draw n ancestors of n particles given that of one child, for conditional sequential Monte Carlo.
+
+        The joint law is that of the scheme with its children turned by a random number of places (of `Multinomial`: shuffled), which gives
+        each child the ancestor i with probability w_i (Chopin, Singh 2015; Karppinen, Singh, Vihola 2023). Offered by `Multinomial`,
+        `Systematic` and `Killing`.
+
+        Args:
+            key: JAX key.
+            log_weights: normalized log weights `(n,)`.
+            fixed: the ancestor of that child, of positive weight.
+            slot: index of the child.
+
+        Returns:
+            Indices `(n,)` int32, `fixed` at the slot.
+
+        Raises:
+            MotesError: the scheme has no conditional form.
+        """
+        checks.refuse("conditional_ancestors", "Multinomial, Systematic or Killing", type(self).__name__)
+
+
+def weighted_anew(picked: W, log_weights: jax.Array, drawn_by: jax.Array, ancestors: jax.Array) -> W:
+    """Multiply the weights of picked particles by what the weights of their ancestors exceed those that they were drawn by."""
+    # a biased scheme may pick what has no weight: it gets none
+    excess = jnp.where(drawn_by[ancestors] > -jnp.inf, (log_weights - drawn_by)[ancestors], -jnp.inf)
+    return replace(picked, log_weights=picked.log_weights + excess)
 
 
 class Boundaries(NamedTuple):
@@ -82,6 +147,18 @@ class Systematic(Scheme):
         edge = boundaries(log_weights, n)
         return ancestors_from_ends(edge.whole + jnp.ceil(edge.part - u).astype(jnp.int32), n, edge.last)
 
+    def conditional_ancestors(self, key: jax.Array, log_weights: jax.Array, fixed: jax.Array, slot: int = 0) -> jax.Array:
+        """See `Scheme`: the point of that child lies anywhere in its ancestor's share, and all points follow from it."""
+        n = log_weights.shape[0]
+        edge = boundaries(log_weights, n)
+        before = jnp.maximum(fixed - 1, 0)
+        whole, part = (jnp.where(fixed > 0, side[before], 0) for side in (edge.whole, edge.part))
+        share = (edge.whole[fixed] - whole) + (edge.part[fixed] - part)
+        point = part + random.uniform(key, (), log_weights.dtype) * share
+        stratum = jnp.clip(whole + jnp.floor(point).astype(jnp.int32), 0, n - 1)
+        drawn = jnp.roll(self.at(point - jnp.floor(point), log_weights, n), slot - stratum)
+        return drawn.at[slot].set(jnp.asarray(fixed, jnp.int32))
+
 
 @record
 class Stratified(Scheme):
@@ -107,6 +184,11 @@ class Multinomial(Scheme):
         counts = _independent_counts(key, weights, n, jnp.int32(n))
         return ancestors_from_ends(jnp.cumsum(counts), n, _last(weights))
 
+    def conditional_ancestors(self, key: jax.Array, log_weights: jax.Array, fixed: jax.Array, slot: int = 0) -> jax.Array:
+        """See `Scheme`: the other children do not look at that one."""
+        drawn = independent(key, jnp.exp(log_weights), log_weights.shape[0])
+        return drawn.at[slot].set(jnp.asarray(fixed, jnp.int32))
+
 
 @record
 class Residual(Scheme):
@@ -121,12 +203,50 @@ class Residual(Scheme):
         return ancestors_from_ends(jnp.cumsum(counts), n, _last(weights))
 
 
-def _independent_counts(key: jax.Array, amounts: jax.Array, n: int, draws: jax.Array) -> jax.Array:
-    """Count how often each index comes up in `draws` (at most n) independent draws in proportion to the amounts."""
+@record
+class SSP(Scheme):
+    """Srinivasan's sampling process: counts within one of n w, as of `Systematic`, and negatively associated in any order of particles.
+
+    Hence it is known to converge, and its variance is at most that of `Multinomial` (Gerber, Chopin, Whiteley 2019). Fractions of n w meet
+    in pairs, one pair after the other: on many particles it is much slower than the others.
+    """
+
+    def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
+        """Draw n ancestors; see `Scheme`."""
+        weights = jnp.exp(log_weights)
+        expected = weights * (n / jnp.sum(weights))
+        certain = jnp.floor(expected).astype(jnp.int32)
+        size = weights.shape[0]
+        chances = random.uniform(key, (size,), weights.dtype)
+
+        def meet(held: tuple[jax.Array, jax.Array], other: tuple[jax.Array, ...]) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+            """Bring one of two fractions to 0, or to 1 where they exceed it; the other holds what is left and meets the next."""
+            (index, p), (challenger, q, chance) = held, other
+            over = p + q > 1
+            stays = jnp.where(over, chance * (2 - p - q) >= 1 - q, chance * (p + q) < p)
+            done = jnp.where(stays, challenger, index)
+            left = jnp.where(over, p + q - 1, p + q)
+            return (jnp.where(stays, index, challenger), left), jnp.where(over, done, size)
+
+        fractions = expected - certain
+        start = (jnp.int32(0), fractions[0])
+        (last, _), raised = jax.lax.scan(meet, start, (jnp.arange(1, size, dtype=jnp.int32), fractions[1:], chances[1:]))
+        counts = certain.at[raised].add(1, mode="drop")
+        # what rounding leaves of the last fraction is whole: it goes where the number of children asks for
+        counts = counts.at[last].add(jnp.maximum(n - jnp.sum(counts), 0))
+        return ancestors_from_ends(jnp.cumsum(counts), n, _last(weights))
+
+
+def independent(key: jax.Array, amounts: jax.Array, n: int) -> jax.Array:
+    """Draw n independent indices `(n,)` int32 in proportion to the amounts."""
     edges = jax.lax.cummax(jnp.cumsum(amounts))
     points = random.uniform(key, (n,), amounts.dtype) * edges[-1]
-    chosen = jnp.searchsorted(edges, points, side="right")
-    chosen = jnp.minimum(chosen, _last(amounts))
+    return jnp.minimum(jnp.searchsorted(edges, points, side="right"), _last(amounts)).astype(jnp.int32)
+
+
+def _independent_counts(key: jax.Array, amounts: jax.Array, n: int, draws: jax.Array) -> jax.Array:
+    """Count how often each index comes up in `draws` (at most n) independent draws in proportion to the amounts."""
+    chosen = independent(key, amounts, n)
     used = jnp.arange(n) < draws
     return jnp.zeros(amounts.shape, jnp.int32).at[chosen].add(used.astype(jnp.int32))
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
 from motes.bounds.kalman_at_truth import kalman_at_truth
+from motes.core import linalg
 from motes.core.record import replace
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
@@ -103,8 +104,9 @@ def _expected(model: Any, track: Track) -> jax.Array:
     zero = jnp.zeros(model.size, model.dtype)
 
     def measured(cov: jax.Array, u: Track, t: Any) -> jax.Array:
-        _, slope, unexplained = linearize.regressed(model.sensor, across, Gaussian(zero[:, None], cov[..., None]), u, t)
-        H = zero.at[np.array(across)].set(slope[0, :, 0]).at[down].set(-1.0)
+        factor = linalg.cholesky(linalg.take(linalg.take(cov, across), across, axis=1))
+        _, tilt, unexplained = linearize.regressed(model.sensor, across, zero[:, None], factor, u, t)
+        H = zero.at[np.array(across)].set(linearize.untilted(tilt[..., 0], factor)[0]).at[down].set(-1.0)
         R = model.sensor.cov(zero, u, t) + jnp.maximum(unexplained[..., 0], 0)
         return Gaussian(zero, cov).corrected(jnp.zeros(1, zero.dtype), H[None], R).law.covariance
 

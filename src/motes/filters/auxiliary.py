@@ -1,0 +1,100 @@
+"""Auxiliary particle filter (Pitt, Shephard 1999): particles are picked by what the next measurement says of them, before they move.
+
+1. Score each particle x of the step before: s, an estimate of p(y | x).
+2. Where the policy says so for the first-stage weights w s, resample by them; a picked particle then weighs 1 / s of its ancestor.
+3. Move each particle by the proposal, and multiply its weight by p(y | x') p(x' | x) / q(x' | x, y).
+
+The evidence is the sum of the weights; after resampling that is sum(w s) times the mean of the second-stage weights, which is unbiased.
+"""
+
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, random
+from motes.core.record import record, replace, static
+from motes.filters.interface import Filter, Info, as_particle_model, by_likelihood, guided, reweigh
+from motes.laws.cloud import Cloud
+from motes.laws.conditional import Conditional
+from motes.models import linearize
+from motes.models.proposals import Proposal, as_proposal
+from motes.models.state_space import StateSpaceModel
+from motes.resampling.policy import ESS, Policy, resample
+from motes.resampling.schemes import Scheme, Systematic
+
+
+@record
+class AuxiliaryParticleFilter(Filter):
+    """Auxiliary particle filter; its state is a `Cloud`.
+
+    With `OptimalProposal` it is fully adapted: where particles were resampled all weights are equal, and the evidence given the cloud is
+    exact. With the dynamics for proposal, particles are scored by p(y | mean of x'), which misleads where the process noise is wide beside
+    the likelihood.
+
+    Attributes:
+        n: number of particles.
+        proposal: how particles are scored and moved: see `ParticleFilter`.
+        scheme: how ancestors are drawn.
+        policy: when to resample, judged by the first-stage weights; `Always` is the filter of the paper.
+    """
+
+    n: int = static()
+    proposal: Proposal | Conditional | None = None
+    scheme: Scheme = Systematic()
+    policy: Policy = ESS(0.5)
+    look_ahead: ClassVar[bool] = True
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number, or the proposal has the wrong kind.
+        """
+        checks.positive_integer("AuxiliaryParticleFilter n", self.n)
+        as_proposal("AuxiliaryParticleFilter proposal", self.proposal)
+
+    def prepare(self, model: Any, u: Any) -> StateSpaceModel:
+        """Ask for dynamics that can be drawn from and have a mean, a sensor with a density, and what the proposal needs.
+
+        Raises:
+            MotesError: one is missing.
+        """
+        model = as_particle_model("AuxiliaryParticleFilter", model, transition_density=isinstance(self.proposal, Conditional))
+        if not linearize.has_moments(model.dynamics):
+            checks.refuse("AuxiliaryParticleFilter dynamics", "a mean function (particles are scored at it)", type(model.dynamics).__name__,
+                          "Use a ParticleFilter.")
+        as_proposal("AuxiliaryParticleFilter proposal", self.proposal).check("AuxiliaryParticleFilter", model, u)
+        return model
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
+        """Draw n particles from the initial law."""
+        return Cloud.equal(model.initial.sample(key, self.n))
+
+    def update(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+        """Weigh the particles by the likelihood of y."""
+        after, info = reweigh(state, by_likelihood(model.sensor, y, u, t))
+        return self.settle(state, after, info, y)
+
+    def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+        """Go to the next time t and take in its measurement."""
+        proposal = as_proposal("AuxiliaryParticleFilter proposal", self.proposal)
+        resample_key, noise_key = (random.child(random.child(key, random.PREDICT), purpose) for purpose in (random.RESAMPLE, random.NOISE))
+        score = _told(proposal.score(model, state.particles, y, u, t))
+        parents = resample(resample_key, self.scheme, self.policy, state, score)
+        after, info = guided(noise_key, proposal, model, parents, y, u, t)
+
+        def blind() -> Cloud:
+            cloud = resample(resample_key, self.scheme, self.policy, state)
+            return replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
+
+        # particles that were picked by a measurement that is not used are no sample of what was known before
+        refused = info.collapsed | jnp.all(jnp.isnan(y))
+        return self.settle(jax.lax.cond(refused, blind, lambda: after), after, info, y)
+
+
+def _told(score: jax.Array) -> jax.Array:
+    """Let scores that are no finite numbers count as the lowest that is: they tell nothing, and no particle may be left out for certain."""
+    finite = jnp.isfinite(score)
+    lowest = jnp.min(jnp.where(finite, score, jnp.inf))
+    return jnp.where(finite, score, jnp.where(jnp.isfinite(lowest), lowest, 0))
