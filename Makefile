@@ -23,11 +23,11 @@ demo: $(STAMP)
 	@$(BIN)/motes demo
 
 test: $(STAMP)
-	@$(BIN)/python -m pytest -n 2
+	@$(BIN)/python -m pytest -n 2 --dist loadgroup
 
 # the tests that run filters, once more with the native engine
 test-native: $(STAMP)
-	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 tests/contract tests/filters tests/oracles tests/applications tests/laws tests/resampling
+	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup tests/contract tests/filters tests/oracles tests/applications tests/laws tests/resampling
 
 lint: $(STAMP)
 	@$(BIN)/ruff check .

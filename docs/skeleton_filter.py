@@ -9,7 +9,7 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_state_space, evolve, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, evolve, reweigh
 from motes.laws.cloud import Cloud
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import Always
@@ -24,6 +24,11 @@ class SkeletonFilter(TwoStageFilter):
         n: number of particles.
     """
 
+    guide = Guide(
+        needs="dynamics that can be drawn from, a sensor with a density",
+        cost="n calls of each function",
+        use="to start a filter of your own from",
+    )
     n: int = static()
 
     def check_knobs(self) -> None:

@@ -19,17 +19,40 @@ def _forget_programs():
         jax.clear_caches()
 
 
-def pytest_collection_modifyitems(config, items):
-    """Leave out what tells nothing new: float64 of variants (named with a comma) and, on the native engine, what JAX does anyway.
+WITHOUT_STAGES = ("Ensemble", "GaussianParticle", "GaussianSum", "CostReference", "Interacting", "JumpMarkov", "Auxiliary")
+"""Filters whose cloud has no stages of its own on the native engine, only blocks that others use too."""
 
-    That is float64, filters without particles, and kernels with whole covariances.
+
+def tells_nothing_new(item, native):
+    """Float64 of variants (named with a comma) and of filters that share their blocks; on the native engine what JAX does anyway.
+
+    That is float64, filters without particles, kernels with whole covariances, and all but two tests of filters without stages.
     """
+    name, double = item.name, "double" in getattr(item, "fixturenames", ())
+    shares = any(word in name for word in WITHOUT_STAGES)
+    if "float64" in name and (native or ", " in name or shares and "test_law_keeps" not in name):
+        return True
+    if not native:
+        return False
+    if double or any(word in name for word in ("KalmanFilter", "PointMassFilter", "common kernel")):
+        return True
+    return shares and "contract" in str(item.path) and not name.startswith(("test_stream", "test_extreme"))
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave out what tells nothing new, and keep the tests of one filter together: they share what they compile."""
     native = os.environ.get("MOTES_ENGINE") == "native"
-    words = ("float64", "KalmanFilter", "PointMassFilter", "common kernel")
-    same = {item for item in items if ("float64" in item.name and ", " in item.name) or native and (
-        "double" in getattr(item, "fixturenames", ()) or any(word in item.name for word in words))}
-    config.hook.pytest_deselected(items=list(same))
-    items[:] = [item for item in items if item not in same]
+    same = [item for item in items if tells_nothing_new(item, native)]
+    config.hook.pytest_deselected(items=same)
+    items[:] = [item for item in items if item not in set(same)]
+    groups = {}
+    for item in items:
+        filter = getattr(item, "callspec", None) and item.callspec.params.get("filter")
+        group = f"contract {filter!r}" if filter is not None and "contract" in str(item.path) else item.nodeid
+        groups.setdefault(group, []).append(item)
+        if group != item.nodeid:
+            item.add_marker(pytest.mark.xdist_group(group))
+    items[:] = [item for group in groups.values() for item in group]
 
 
 @pytest.fixture(params=["float32", "float64"])

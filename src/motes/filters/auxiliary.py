@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Filter, Info, as_particle_model, by_likelihood, guided, reweigh
+from motes.filters.interface import Filter, Guide, Info, as_particle_model, by_likelihood, guided, reweigh
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models import linearize
@@ -38,6 +38,12 @@ class AuxiliaryParticleFilter(Filter):
         scheme: how ancestors are drawn.
         policy: when to resample, judged by the first-stage weights; `Always` is the filter of the paper.
     """
+
+    guide = Guide(
+        needs="as ParticleFilter, and a mean function of the dynamics",
+        cost="n calls of each function, and a score for each particle",
+        use="measurements tell much of where particles should have come from",
+    )
 
     n: int = static()
     proposal: Proposal | Conditional | None = None

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Filter, Info, as_moment_model, weigh
+from motes.filters.interface import Filter, Guide, Info, as_moment_model, weigh
 from motes.laws.conditional import matrix_over, over_particles
 from motes.laws.cost_cloud import CostCloud
 from motes.models.state_space import StateSpaceModel
@@ -42,6 +42,12 @@ class CostReferenceParticleFilter(Filter):
         estimate: "mean" weighted by phi(C), or "minimum cost", the best particle.
         scheme: how the global selection draws.
     """
+
+    guide = Guide(
+        needs="mean functions alone",
+        cost="n calls of each function",
+        use="noises whose law is not known",
+    )
 
     n: int = static()
     q: int = static(default=2)

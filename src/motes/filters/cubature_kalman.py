@@ -9,7 +9,7 @@ from typing import Any
 import jax
 
 from motes.core.record import record
-from motes.filters.interface import Info, TwoStageFilter, as_moment_model, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_moment_model, single
 from motes.laws.gaussian import Gaussian
 from motes.models import sigma_points
 from motes.models.state_space import StateSpaceModel
@@ -18,6 +18,12 @@ from motes.models.state_space import StateSpaceModel
 @record
 class CubatureKalmanFilter(TwoStageFilter):
     """Cubature Kalman filter; its state is a `Gaussian`."""
+
+    guide = Guide(
+        needs="mean functions, noises with covariances",
+        cost="x^3, and 2 x + 1 calls of each function",
+        use="as UnscentedKalmanFilter, without knobs to set",
+    )
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for means and covariances of dynamics and sensor.

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_moment_model, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_moment_model, single
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import matrix_over, over_particles
 from motes.laws.gaussian import among, log_normal, log_normal_peak, zeroed
@@ -30,6 +30,12 @@ class EnsembleKalmanFilter(TwoStageFilter):
         inflation: factor on the deviations of members from their mean after each prediction; a little above 1 makes up for the
             covariance that few members miss.
     """
+
+    guide = Guide(
+        needs="dynamics that can be drawn from, a sensor with a mean function and a noise covariance",
+        cost="n calls of each function",
+        use="many states, nearly linear, a covariance too large to carry",
+    )
 
     n: int = static()
     form: str = static(default="deterministic")

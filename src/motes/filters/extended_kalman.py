@@ -11,7 +11,7 @@ import jax
 
 from motes.core import checks
 from motes.core.record import record, static
-from motes.filters.interface import Info, TwoStageFilter, as_moment_model, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_moment_model, single
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
@@ -24,6 +24,12 @@ class ExtendedKalmanFilter(TwoStageFilter):
     Attributes:
         iterations: linearizations of the sensor in a correction; 1 is the plain filter, more the iterated one. Steps are not damped.
     """
+
+    guide = Guide(
+        needs="mean functions with slopes, noises with covariances",
+        cost="x^3, and a Jacobian of each function",
+        use="one mode, functions that bend little within the uncertainty",
+    )
 
     iterations: int = static(default=1)
 

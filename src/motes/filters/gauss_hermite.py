@@ -10,7 +10,7 @@ import jax
 
 from motes.core import checks
 from motes.core.record import record, static
-from motes.filters.interface import Info, TwoStageFilter, as_moment_model, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_moment_model, single
 from motes.laws.gaussian import Gaussian
 from motes.models import sigma_points
 from motes.models.state_space import StateSpaceModel
@@ -26,6 +26,12 @@ class GaussHermiteFilter(TwoStageFilter):
     Attributes:
         degree: points per state, at least 2; moments are exact for polynomials up to the degree 2 `degree` - 1 in each state.
     """
+
+    guide = Guide(
+        needs="mean functions, noises with covariances",
+        cost="degree^x calls of each function",
+        use="one mode, few states, strongly bent functions",
+    )
 
     degree: int = static(default=3)
 

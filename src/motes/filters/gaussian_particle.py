@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_particle_model, weigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_particle_model, weigh
 from motes.laws.cloud import weighted_moments
 from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel
@@ -27,6 +27,12 @@ class GaussianParticleFilter(TwoStageFilter):
         redraw: weigh new draws from the predicted Gaussian (the general form); otherwise the moved particles themselves, which spares
             half of the draws and keeps the shape of the prediction (paper 004, steps 1 to 5), but moves only when y is known.
     """
+
+    guide = Guide(
+        needs="dynamics that can be drawn from, a sensor with a density",
+        cost="n calls of each function, no resampling",
+        use="one mode with noises of any law",
+    )
 
     n: int = static()
     redraw: bool = static(default=True)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_particle_model, weigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_particle_model, weigh
 from motes.laws.cloud import weighted_moments
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, matrix_over, over_particles
 from motes.laws.gaussian import Gaussian
@@ -40,6 +40,12 @@ class GaussianSumParticleFilter(TwoStageFilter):
         scheme: how mixands are drawn.
         policy: when mixands are resampled that are not too many.
     """
+
+    guide = Guide(
+        needs="as ParticleFilter; a Gaussian mixture for the noise in forms II and III",
+        cost="n calls for each mixand",
+        use="several modes, noises that are Gaussian mixtures",
+    )
 
     n: int = static()
     mixands: int = static()

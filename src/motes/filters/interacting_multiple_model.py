@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from motes.core import linalg
 from motes.core.record import record, replace
-from motes.filters.interface import Info, TwoStageFilter, as_jump_markov, weigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_jump_markov, weigh
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import moments_each
 from motes.laws.mode_mixture import ModeMixture
@@ -28,6 +28,12 @@ from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_
 @record
 class InteractingMultipleModel(TwoStageFilter):
     """Interacting multiple models; the state is a `ModeMixture` of one Gaussian for each mode, and `info.ess` counts modes."""
+
+    guide = Guide(
+        needs="m modes with mean functions and noise covariances",
+        cost="m x^3",
+        use="a model that switches between a few modes, each mildly nonlinear",
+    )
 
     def prepare(self, model: Any, u: Any) -> JumpMarkovModel:
         """Ask for means and covariances of dynamics and sensor of every mode.

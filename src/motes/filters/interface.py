@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -132,6 +132,20 @@ def guided(
     return replace(parents, particles=moved, log_weights=weights), info
 
 
+class Guide(NamedTuple):
+    """What a reader who looks for a filter wants to know of it; docs/how-to-choose.md is made of these.
+
+    Attributes:
+        needs: what it asks of the model.
+        cost: of a step, in the number of states x and of particles n.
+        use: when to use it.
+    """
+
+    needs: str
+    cost: str
+    use: str
+
+
 @record
 class Filter(ABC):
     """A filter. Subclasses are records; methods are pure and work under jit, vmap and grad.
@@ -146,6 +160,8 @@ class Filter(ABC):
     """Whether the filter moves only when it knows the next measurement."""
     has_evidence: ClassVar[bool] = True
     """Whether the filter knows the density of what was measured; where not, histories and streams refuse to tell it."""
+    guide: ClassVar[Guide]
+    """What it needs, costs and is good for."""
 
     def __post_init__(self) -> None:
         """Check the knobs.

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_jump_markov, weigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_jump_markov, weigh
 from motes.laws.gaussian import Gaussian
 from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import log_chances
@@ -37,6 +37,12 @@ class JumpMarkovFilter(TwoStageFilter):
         sampled: states that particles draw, by name or index: those in which dynamics or sensors are too curved for an extended Kalman
             filter. Given them, linear models are exact.
     """
+
+    guide = Guide(
+        needs="m modes with additive Gaussian noises",
+        cost="n m x^3",
+        use="a model that switches between modes whose past matters, or with a few strongly nonlinear states",
+    )
 
     n: int = static()
     sampled: tuple[str | int, ...] = static(default=())

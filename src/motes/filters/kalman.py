@@ -9,7 +9,7 @@ import jax
 
 from motes.core import checks
 from motes.core.record import record
-from motes.filters.interface import Info, TwoStageFilter, as_state_space, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, single
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
@@ -19,6 +19,12 @@ from motes.models.structure import structure
 @record
 class KalmanFilter(TwoStageFilter):
     """Kalman filter; its state is a `Gaussian`. Functions that are linear need not be written as matrices: tracing finds out."""
+
+    guide = Guide(
+        needs="a linear model with Gaussian noises and initial law",
+        cost="x^3",
+        use="the model is linear: nothing beats it",
+    )
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for a model that is linear in every state, with Gaussian noises and initial law.

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, random
 from motes.core.logspace import uniform_weights
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_state_space, evolve, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, evolve, reweigh
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
@@ -69,6 +69,12 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         scheme: how kernels are selected.
         policy: when a resampling selects; otherwise it splits and keeps the weights.
     """
+
+    guide = Guide(
+        needs="additive Gaussian noises",
+        cost="n x^2, n x^3 to move covariances",
+        use="several modes in few nonlinear states, many linear ones, little process noise",
+    )
 
     n: int = static()
     nonlinear: tuple[str | int, ...] | None = static(default=None)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, evolve, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh
 from motes.laws.conditional import wrap
 from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
@@ -40,6 +40,12 @@ class MarginalizedParticleFilter(TwoStageFilter):
         policy: when to resample, at the start of a step.
         regularization: kernel that smooths the particle part of what was resampled (see `RegularizedParticleFilter`); None for none.
     """
+
+    guide = Guide(
+        needs="k states that are linear-Gaussian given the rest, found by tracing",
+        cost="n k^2 with one covariance for all, n k^3 with one for each particle",
+        use="some states enter linearly: fewer particles for the same accuracy",
+    )
 
     n: int = static()
     linear: tuple[str | int, ...] | None = static(default=None)

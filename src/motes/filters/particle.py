@@ -11,7 +11,7 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, guided, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, guided, reweigh
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models.proposals import Proposal, as_proposal
@@ -31,6 +31,12 @@ class ParticleFilter(TwoStageFilter):
         scheme: how ancestors are drawn.
         policy: when to resample, at the start of a step.
     """
+
+    guide = Guide(
+        needs="dynamics that can be drawn from, a sensor with a density",
+        cost="n calls of each function",
+        use="any model of few states; a proposal where measurements are sharp",
+    )
 
     n: int = static()
     proposal: Proposal | Conditional | None = None

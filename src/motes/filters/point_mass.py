@@ -11,7 +11,7 @@ import numpy as np
 
 from motes.core import checks, logspace
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_state_space, weigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, weigh
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Custom
 from motes.models.state_space import StateSpaceModel
@@ -30,6 +30,12 @@ class PointMassFilter(TwoStageFilter):
         upper: upper ends.
         nodes: numbers of nodes per state.
     """
+
+    guide = Guide(
+        needs="densities of initial law, dynamics and sensor; one or two states",
+        cost="the square of the number of nodes",
+        use="one or two states: the exact answer others are held to",
+    )
 
     lower: tuple[float, ...] = static()
     upper: tuple[float, ...] = static()

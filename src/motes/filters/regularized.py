@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, reweigh
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.models.state_space import StateSpaceModel
@@ -36,6 +36,12 @@ class RegularizedParticleFilter(TwoStageFilter):
         scheme: how ancestors are drawn.
         policy: when to resample, and with it to smooth, at the start of a step.
     """
+
+    guide = Guide(
+        needs="as ParticleFilter; a density of the dynamics for the Metropolis form",
+        cost="n calls of each function, and one draw more",
+        use="little process noise, so that resampled particles stay equal",
+    )
 
     n: int = static()
     regularization: Regularization = Regularization()

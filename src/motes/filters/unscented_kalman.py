@@ -10,7 +10,7 @@ import jax
 
 from motes.core import checks
 from motes.core.record import record, static
-from motes.filters.interface import Info, TwoStageFilter, as_moment_model, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_moment_model, single
 from motes.laws.gaussian import Gaussian
 from motes.models import sigma_points
 from motes.models.state_space import StateSpaceModel
@@ -27,6 +27,12 @@ class UnscentedKalmanFilter(TwoStageFilter):
         beta: what is known of the fourth moments; 2 suits Gaussians.
         kappa: second scaling, above -x; with alpha = 1 and beta = 0, 3 - x makes fourth moments right along each axis.
     """
+
+    guide = Guide(
+        needs="mean functions, noises with covariances",
+        cost="x^3, and 2 x + 1 calls of each function",
+        use="one mode, functions that bend within the uncertainty or have no slopes",
+    )
 
     alpha: float = static(default=1.0)
     beta: float = static(default=2.0)

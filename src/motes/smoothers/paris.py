@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, static
-from motes.filters.interface import Filter, Info
+from motes.filters.interface import Filter, Guide, Info
 from motes.filters.particle import ParticleFilter
 from motes.laws.cloud import Cloud
 from motes.laws.law import Law
@@ -75,6 +75,12 @@ class PaRIS(Filter):
         scheme: how ancestors are drawn.
         policy: when to resample, at the start of a step.
     """
+
+    guide = Guide(
+        needs="as ParticleFilter, and a density of the dynamics",
+        cost="as ParticleFilter, and n^2 densities (fewer with `RejectedParents` or `SteppedParents`)",
+        use="smoothed sums over time, such as those of expectation maximization, while the filter runs",
+    )
 
     n: int = static()
     function: Callable[..., jax.Array] = static()
