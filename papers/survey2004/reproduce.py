@@ -1,8 +1,9 @@
-"""Measures what papers 001 and 004 claim: every filter on the growth model, and filters that are told the wrong noise.
+"""Measures what papers 001 and 004 claim: every filter on the growth model, filters told the wrong noise, and two real recordings.
 
-    python papers/survey2004/reproduce.py [growth noise] [--runs 1000]
+    python papers/survey2004/reproduce.py [growth noise aircraft river] [--runs 1000] [--data FOLDER]
 
-Tables go to out/survey2004. All of it takes some fifteen minutes on two cores.
+Tables go to out/survey2004. All of it takes some fifteen minutes on two cores. `aircraft` and `river` need recordings: FOLDER holds
+aircraft/adsb/belevingsvlucht.csv and timeseries/nile.csv.
 """
 
 import argparse
@@ -13,13 +14,15 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import jax.numpy as jnp
 import numpy as np
+from recordings import aircraft, river
 
 import motes as mo
 from motes.io.archive import provenance
 from motes.models.textbook import growth
 from motes.studies.tables import accuracy, difference
 
-PARTS = ("growth", "noise")
+PARTS = ("growth", "noise", "aircraft", "river")
+SEEDS = 20
 NUMBERS = (100, 1000, 5000)
 STEPS = 100
 EXACT = "point mass"
@@ -31,13 +34,17 @@ COLUMNS = (
 def options() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(description="Measures what papers 001 and 004 claim.")
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; both if none is named")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all if none is named")
     parser.add_argument("--runs", type=int, default=1000, help="sets of measurements (1000)")
+    parser.add_argument("--data", type=Path, help="folder of recordings, for aircraft and river")
     parser.add_argument("--out", type=Path, default=Path("out/survey2004"), help="folder of the results")
     given = parser.parse_args()
     for part in given.parts:
         if part not in PARTS:
             parser.error(f"part: expected one of {', '.join(PARTS)}, got {part!r}")
+    if given.data is None and {"aircraft", "river"} & set(given.parts):
+        parser.error("aircraft and river: expected --data FOLDER with recordings, got none")
+    given.parts = given.parts or (PARTS if given.data else PARTS[:2])
     return given
 
 
@@ -139,12 +146,17 @@ def main() -> None:
     given = options()
     given.out.mkdir(parents=True, exist_ok=True)
     print(", ".join(f"{key.removeprefix('motes_')} {value}" for key, value in provenance().items()))
-    for part, table in (("growth", over_growth), ("noise", wrong_noise)):
-        if not given.parts or part in given.parts:
-            found = table(given.runs)
-            print(f"\n{part}\n{found}", flush=True)
-            found.save(given.out / f"{part}.csv")
-            found.save(given.out / f"{part}.md")
+    tables = {
+        "growth": lambda: over_growth(given.runs),
+        "noise": lambda: wrong_noise(given.runs),
+        "aircraft": lambda: aircraft(given.data, SEEDS),
+        "river": lambda: river(given.data, SEEDS),
+    }
+    for part in given.parts:
+        found = tables[part]()
+        print(f"\n{part}\n{found}", flush=True)
+        found.save(given.out / f"{part}.csv")
+        found.save(given.out / f"{part}.md")
 
 
 if __name__ == "__main__":

@@ -49,6 +49,7 @@ def errors(cov, exact):
 LINEAR = {"plain": {}, "varying": {"varying": True}, "singular and varying": {"singular": True, "varying": True}}
 
 
+@pytest.mark.optimized
 @pytest.mark.parametrize("kind", LINEAR)
 def test_equals_the_kalman_filter_on_linear_models(double, kind):
     model = linear_model(**LINEAR[kind])

@@ -98,6 +98,7 @@ def test_eager_equals_jitted(filter, double):
     assert np.allclose(carry.evidence.value(), likelihood(history), rtol=1e-9)
 
 
+@pytest.mark.optimized
 @each_filter()
 def test_stream_draws_the_same_bits_as_run(filter, precision):
     model = linear()
@@ -120,6 +121,7 @@ def test_stream_draws_the_same_bits_as_run(filter, precision):
     assert same_bits(likelihood(history), likelihood(stream))
 
 
+@pytest.mark.optimized
 @each_class()
 def test_cut_and_continued_equals_uncut(filter, precision):
     model = linear()
@@ -131,6 +133,7 @@ def test_cut_and_continued_equals_uncut(filter, precision):
     assert same_bits(mo.joined(list(mo.run_in_chunks(3, filter, model, ys, chunk=STEPS // 2))), whole)
 
 
+@pytest.mark.optimized
 @each_class()
 def test_checkpoint_brings_back_the_same_bits(filter, tmp_path):
     model = linear()
@@ -176,6 +179,7 @@ def test_vmap_over_models_and_data(filter):
         assert np.allclose(found[1], alone, atol=2e-3)
 
 
+@pytest.mark.optimized
 @each_filter()
 def test_nothing_measured_is_predict_only(filter, precision):
     model = linear()

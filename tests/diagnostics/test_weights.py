@@ -42,7 +42,7 @@ def test_ancestors_by_hand():
 def test_variance_of_the_log_likelihood_from_one_run():
     """Its mean over 60 runs is the variance over 400 runs, within 4.9 standard errors of both (multinomial, every step)."""
     _, ys = mo.simulate(3, model(), 12)
-    filter = mo.ParticleFilter(n=300, scheme=mo.Multinomial(), policy=mo.Always())
+    filter = mo.ParticleFilter(n=1000, scheme=mo.Multinomial(), policy=mo.Always())
     keys = jax.random.split(jax.random.key(1), 400)
     many = np.asarray(jax.vmap(lambda key: mo.run(key, filter, model(), ys).log_likelihood)(keys), float)
     estimates = [mo.log_likelihood_variance(mo.run(key, filter, model(), ys, keep=mo.keep.laws)) for key in range(60)]

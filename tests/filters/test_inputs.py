@@ -33,6 +33,7 @@ def inputs(steps):
     return {"dt": jnp.asarray(rng.uniform(0.5, 1.5, steps), jnp.float32), "command": jnp.asarray(rng.normal(size=steps), jnp.float32)}
 
 
+@pytest.mark.optimized
 @pytest.mark.parametrize("cross", [None, [[0.05, 0.02], [0.0, -0.03]]], ids=["independent", "correlated noises"])
 @pytest.mark.parametrize("filter", FILTERS, ids=lambda f: type(f).__name__)
 def test_stream_equals_run_with_inputs(filter, cross):

@@ -166,6 +166,7 @@ def test_sums_over_time():
     assert abs(off.mean()) < stats.t.isf(1e-6 / 2, 39) * off.std(ddof=1) / np.sqrt(40) + 0.05
 
 
+@pytest.mark.optimized
 def test_sums_of_a_stream_are_those_of_a_run():
     model = linear()
     ys = data(model)

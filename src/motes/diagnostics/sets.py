@@ -3,7 +3,6 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from motes.core import checks
 
@@ -20,6 +19,8 @@ def ospa(estimates: Any, truths: Any, cutoff: float, order: float = 2.0) -> floa
     Raises:
         MotesError: the points do not fit each other, the cutoff is not positive, or the order is below 1.
     """
+    from scipy.optimize import linear_sum_assignment
+
     near = _cut("ospa", estimates, truths, cutoff, order)
     fewer, more = sorted(near.shape)
     if more == 0:
@@ -58,6 +59,8 @@ def gospa(estimates: Any, truths: Any, cutoff: float, order: float = 2.0) -> Gos
     Raises:
         MotesError: the points do not fit each other, the cutoff is not positive, or the order is below 1.
     """
+    from scipy.optimize import linear_sum_assignment
+
     near = _cut("gospa", estimates, truths, cutoff, order)
     rows, columns = linear_sum_assignment(near)
     pairs = near[rows, columns]
