@@ -63,6 +63,7 @@ def test_bad_input_is_named():
         "founders history: expected laws with ancestors, got Gaussian": lambda: mo.founders(kalman),
         "surviving lag: expected less than the 4 steps": lambda: mo.surviving(laws, 4),
         "log_likelihood_variance history: expected a run from step 0, got one from step 4": lambda: mo.log_likelihood_variance(later),
+        "log_likelihood_variance history: expected a filter with scheme=Multinomial": lambda: mo.log_likelihood_variance(laws),
     }.items():
         with pytest.raises(mo.MotesError, match=line):
             call()

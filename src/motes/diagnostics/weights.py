@@ -94,17 +94,22 @@ class LikelihoodVariance(NamedTuple):
 
 
 def log_likelihood_variance(history: History) -> LikelihoodVariance:
-    """Estimate from one run how much the log likelihood would vary over runs (Lee, Whiteley 2018; Chan, Lai 2013).
+    """Estimate from one run how much the log likelihood would vary over runs (Lee, Whiteley 2018, equation 5).
 
-    With W_i the weight of all particles of the last step that descend from particle i of the first, it is the sum of (W_i - 1 / n)^2.
-    Consistent for multinomial resampling; for the other schemes, which are less noisy, somewhat too large. Laws must be kept.
+    With F_i the weight of all particles of the last step that descend from particle i of the first, and r steps that resampled, it is
+    1 - (n / (n - 1))^(r + 1) (1 - sum F_i^2), which may come out a little below zero. Laws must be kept.
 
     Raises:
-        MotesError: laws were not kept, or have no ancestors, or the run does not start at step 0.
+        MotesError: laws were not kept, have no ancestors, or were not resampled by `Multinomial`, or the run does not start at step 0.
     """
     if int(history.start) != 0:
         checks.refuse("log_likelihood_variance history", "a run from step 0", f"one from step {int(history.start)}", "Join its pieces.")
     first = np.asarray(founders(history))
-    weights = np.exp(np.asarray(history.state.log_weights, np.float64))
-    families = np.bincount(first, weights, minlength=first.size)
-    return LikelihoodVariance(float(np.sum((families - 1 / first.size) ** 2)), int(np.unique(first).size))
+    if "scheme=Multinomial()" not in history.label:
+        checks.refuse("log_likelihood_variance history", "a filter with scheme=Multinomial()", history.label,
+                      "Other schemes give families that tell less of the variance.")
+    n = first.size
+    resampled = int(np.any(np.asarray(history.law.ancestors[1:]) != np.arange(n), axis=1).sum())
+    families = np.bincount(first, np.exp(np.asarray(history.state.log_weights, np.float64)), minlength=n)
+    variance = 1 - (n / max(n - 1, 1)) ** (resampled + 1) * (1 - float(np.sum(families**2)))
+    return LikelihoodVariance(variance, int(np.unique(first).size))
