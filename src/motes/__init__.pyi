@@ -53,11 +53,13 @@ from .filters.kalman import KalmanFilter as KalmanFilter
 from .filters.kernel import KalmanParticleKernelFilter as KalmanParticleKernelFilter
 from .filters.marginalized import MarginalizedParticleFilter as MarginalizedParticleFilter
 from .filters.marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
+from .filters.parallel import run_in_parallel as run_in_parallel
 from .filters.particle import ParticleFilter as ParticleFilter
 from .filters.point_mass import PointMassFilter as PointMassFilter
 from .filters.regularized import RegularizedParticleFilter as RegularizedParticleFilter
 from .filters.run import run as run
 from .filters.run import run_in_chunks as run_in_chunks
+from .filters.square_root_kalman import SquareRootKalmanFilter as SquareRootKalmanFilter
 from .filters.stream import Stream as Stream
 from .filters.stream import stream as stream
 from .filters.unscented_kalman import UnscentedKalmanFilter as UnscentedKalmanFilter
@@ -67,6 +69,7 @@ from .laws.conditional import AdditiveNoise as AdditiveNoise
 from .laws.conditional import Custom as Custom
 from .laws.conditional import LinearGaussian as LinearGaussian
 from .laws.cost_cloud import CostCloud as CostCloud
+from .laws.factored import FactoredGaussian as FactoredGaussian
 from .laws.gaussian import Gaussian as Gaussian
 from .laws.marginal_cloud import MarginalCloud as MarginalCloud
 from .laws.mixture import Mixture as Mixture

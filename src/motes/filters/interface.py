@@ -16,6 +16,7 @@ from motes.models.jump_markov import JumpMarkovModel
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.proposals import Proposal
 from motes.models.state_space import StateSpaceModel
+from motes.models.structure import structure
 from motes.native import cloudwise
 from motes.resampling.policy import Policy, resample
 from motes.resampling.schemes import Scheme, Weighted
@@ -272,6 +273,20 @@ def as_particle_model(asked_by: str, model: Any, transition_density: bool) -> St
         checks.refuse(f"{asked_by} dynamics", "a sample function (particles are moved by it)", "Custom with log_prob only")
     if transition_density and isinstance(dynamics, Custom) and dynamics.density is None:
         checks.refuse(f"{asked_by} dynamics", "a log_prob (a proposal's weights need it)", "Custom with sample only")
+    return model
+
+
+def as_linear_model(asked_by: str, model: Any, u: Any) -> StateSpaceModel:
+    """Return a state-space model that is linear in every state, with Gaussian noises and initial law.
+
+    Raises:
+        MotesError: it is not; the message names a state and the reason.
+    """
+    model = as_state_space(asked_by, model)
+    found = structure(model, u)
+    if len(found.linear) < model.size:
+        name, reason = found.reasons[0]
+        checks.refuse(f"{asked_by} model", "a linear-Gaussian model", f"{name}: {reason}", "Use ExtendedKalmanFilter or a particle filter.")
     return model
 
 

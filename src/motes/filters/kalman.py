@@ -7,13 +7,11 @@ from typing import Any
 
 import jax
 
-from motes.core import checks
 from motes.core.record import record
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_linear_model, single
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
-from motes.models.structure import structure
 
 
 @record
@@ -32,13 +30,7 @@ class KalmanFilter(TwoStageFilter):
         Raises:
             MotesError: it is not; the message names a state and the reason.
         """
-        model = as_state_space("KalmanFilter", model)
-        found = structure(model, u)
-        if len(found.linear) < model.size:
-            name, reason = found.reasons[0]
-            hint = "Use ExtendedKalmanFilter or a particle filter."
-            checks.refuse("KalmanFilter model", "a linear-Gaussian model", f"{name}: {reason}", hint)
-        return model
+        return as_linear_model("KalmanFilter", model, u)
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Gaussian:
         """Return the initial law."""

@@ -1,7 +1,7 @@
 """The Gaussian law: affine maps of it and conditioning on measurements; Kalman filters are written with these two alone."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,8 @@ from motes.laws.law import Law
 
 _LOG_2PI = float(np.log(2 * np.pi))
 _ROUNDING = 64.0
+
+L = TypeVar("L")
 
 
 @record
@@ -102,7 +104,7 @@ class Gaussian(Law):
         corrected = self.corrected(linalg.add_vectors(y, -prediction), H, R, ~jnp.isnan(y))
         return corrected.law, corrected.log_evidence
 
-    def corrected(self, innovation: jax.Array, H: jax.Array, R: jax.Array, seen: jax.Array | None = None) -> "Correction":
+    def corrected(self, innovation: jax.Array, H: jax.Array, R: jax.Array, seen: jax.Array | None = None) -> "Correction[Gaussian]":
         """Condition on an innovation that was formed outside (an angle wrapped, say); otherwise as `given`.
 
         Args:
@@ -118,7 +120,7 @@ class Gaussian(Law):
         factor = linalg.cholesky(linalg.symmetric(linalg.add(linalg.product_transposed(cross, H), R)))
         # the barriers keep compilers from working factor and gain out again for every entry that uses them
         factor = jax.lax.optimization_barrier(factor)
-        log_evidence, peak = _log_density(innovation, factor, seen)
+        log_evidence, peak = log_density(innovation, factor, seen)
         gain = jax.lax.optimization_barrier(linalg.transpose(linalg.solve(*_same_batch(factor, cross))))
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = linalg.add_vectors(linalg.times_vector(gain, usable), self.center)
@@ -128,7 +130,7 @@ class Gaussian(Law):
 
     def corrected_in_turn(
         self, innovation: jax.Array, slopes: Sequence[tuple[Sequence[int], jax.Array]], R: jax.Array, seen: jax.Array | None = None
-    ) -> "Correction":
+    ) -> "Correction[Gaussian]":
         """Condition as `corrected` does, but one component after the other by rank-one updates: cheaper where each law has its own P.
 
         The triangular factor of R makes the components independent first. P - c c' / s is no Joseph form; instead the variance along a
@@ -186,8 +188,8 @@ class Gaussian(Law):
         return Gaussian(self.center, self.covariance * factor)
 
 
-class Correction(NamedTuple):
-    """What conditioning a Gaussian gives.
+class Correction(NamedTuple, Generic[L]):
+    """What conditioning a law gives.
 
     Attributes:
         law: the conditional law.
@@ -195,19 +197,19 @@ class Correction(NamedTuple):
         peak: the same for a perfect prediction; half the squared Mahalanobis distance is the difference.
     """
 
-    law: Gaussian
+    law: L
     log_evidence: jax.Array
     peak: jax.Array
 
 
 def log_normal(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:
     """Log density of a zero-mean Gaussian at residuals `(y, *n)`, of the components in `seen` (`(y,)`, `(y, n)`, None for all)."""
-    return _log_density(*_reduced(residual, cov, seen), seen)[0]
+    return log_density(*_reduced(residual, cov, seen), seen)[0]
 
 
 def log_normal_peak(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:
     """Largest value that `log_normal` takes with the same covariance and components, `()` or `(n,)`."""
-    return _log_density(*_reduced(residual, cov, seen), seen)[1]
+    return log_density(*_reduced(residual, cov, seen), seen)[1]
 
 
 def _reduced(residual: jax.Array, cov: jax.Array, seen: jax.Array | None) -> tuple[jax.Array, jax.Array]:
@@ -236,7 +238,8 @@ def among(R: jax.Array, seen: jax.Array) -> jax.Array:
     return jnp.where(both, R, unit)
 
 
-def _log_density(residual: jax.Array, factor: jax.Array, seen: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+def log_density(residual: jax.Array, factor: jax.Array, seen: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+    """`log_normal` and its peak, from the lower factor of the covariance; components not seen are zero and of variance one."""
     white = linalg.solve_lower(*_same_batch(factor, residual, 1))
     components = residual.shape[0] if seen is None else jnp.sum(seen, axis=0)
     peak = -0.5 * (linalg.log_determinant(factor) + _LOG_2PI * components)

@@ -179,6 +179,20 @@ def decorrelated(model: StateSpaceModel) -> StateSpaceModel:
     return replace(model, dynamics=AdditiveGaussian(mean, cov, dynamics.angles), sensor=seen_now, noise_cross_cov=None)
 
 
+def driven(model: Any, inputs: Inputs, ys: jax.Array | None) -> tuple[Any, Inputs]:
+    """Return a model with independent noises and the inputs of each of its steps, `Previous` where the noises were correlated.
+
+    Args:
+        model: any model; one with correlated noises needs the measurements.
+        inputs: tree with the time axis first.
+        ys: measurements `(t, y)`, or None.
+    """
+    if not isinstance(model, StateSpaceModel) or model.noise_cross_cov is None or ys is None:
+        return model, inputs
+    before, y_before = (jax.tree.map(lambda leaf: jnp.concatenate([leaf[:1], leaf[:-1]]), tree) for tree in (inputs, ys))
+    return decorrelated(model), Previous(inputs, before, y_before)
+
+
 def measurement_size(model: StateSpaceModel, inputs_of_step: Inputs) -> int | None:
     """Number of measured components, or None where only the data can tell (a custom density)."""
     part = model.sensor

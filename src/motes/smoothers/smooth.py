@@ -11,7 +11,7 @@ from motes.core.types import Inputs, KeyLike
 from motes.filters.history import History
 from motes.filters.run import checked_measurements
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import Previous, StateSpaceModel, check_inputs, decorrelated, step_inputs
+from motes.models.state_space import StateSpaceModel, check_inputs, driven, step_inputs
 from motes.smoothers.interface import Smoothed, Smoother, Steps
 
 
@@ -52,9 +52,7 @@ def smooth(
 
 @jax.jit
 def _smooth(key: jax.Array, smoother: Smoother, model: Any, history: History, ys: jax.Array | None, inputs: Inputs) -> Smoothed:
-    if isinstance(model, StateSpaceModel) and model.noise_cross_cov is not None and ys is not None:
-        before, y_before = (jax.tree.map(lambda leaf: jnp.concatenate([leaf[:1], leaf[:-1]]), tree) for tree in (inputs, ys))
-        model, inputs = decorrelated(model), Previous(inputs, before, y_before)
+    model, inputs = driven(model, inputs, ys)
     count = history.info.ess.shape[0]
     prepared = smoother.prepare(model, history, step_inputs(inputs, 0))
     return smoother.smooth(random.as_key(key), prepared, history, Steps(inputs, history.start + jnp.arange(count, dtype=jnp.int32), ys))

@@ -1,0 +1,69 @@
+"""The Gaussian law held by a factor of its covariance: it can never lose its positive variances to rounding."""
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import linalg, random
+from motes.core.record import record
+from motes.laws.gaussian import Correction, among, log_density, zeroed
+from motes.laws.law import Law
+
+
+@record
+class FactoredGaussian(Law):
+    """A Gaussian law of covariance L L'.
+
+    Attributes:
+        center: mean, `(x,)`.
+        factor: L, lower triangular, `(x, x)`; in float32 it keeps the digits that a covariance keeps in float64.
+    """
+
+    center: jax.Array
+    factor: jax.Array
+
+    @classmethod
+    def of(cls, law: Law) -> "FactoredGaussian":
+        """Return the law with the moments of another."""
+        return cls(law.mean(), linalg.cholesky(law.cov()))
+
+    def mean(self) -> jax.Array:
+        """Mean, `(x,)`."""
+        return self.center
+
+    def cov(self) -> jax.Array:
+        """Covariance, `(x, x)`."""
+        return linalg.sandwich(self.factor, linalg.identity_like(self.factor))
+
+    def sample(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n points, `(x, n)`."""
+        noise = random.normal(key, (self.center.shape[0], n), self.center.dtype)
+        return self.center[:, None] + linalg.times_vector(self.factor, noise)
+
+    def moved(self, center: jax.Array, slope: jax.Array, noise: jax.Array) -> "FactoredGaussian":
+        """Return the law of a state about the center `(x,)`, moved by a slope `(x, x)` with noise of covariance `(x, x)`."""
+        return FactoredGaussian(center, _triangle(jnp.concatenate([linalg.product(slope, self.factor), linalg.cholesky(noise)], axis=1)))
+
+    def corrected(self, innovation: jax.Array, H: jax.Array, R: jax.Array, seen: jax.Array) -> "Correction[FactoredGaussian]":
+        """Condition on an innovation `(y,)` of y = H x + e, e of covariance R `(y, y)`, as `Gaussian.corrected` does.
+
+        The triangle of [R^1/2, H L; 0, L] holds the factors of the innovation's covariance and of the new one, and the gain between them.
+        """
+        innovation, H, R = zeroed(innovation, seen), zeroed(H, seen), among(R, seen)
+        size = innovation.shape[0]
+        nothing = jnp.zeros((self.center.shape[0], size), self.factor.dtype)
+        rows = [[linalg.cholesky(R), linalg.product(H, self.factor)], [nothing, self.factor]]
+        triangle = _triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]))
+        factor, gain, left = triangle[:size, :size], triangle[size:, :size], triangle[size:, size:]
+        log_evidence, peak = log_density(innovation, factor, seen)
+        usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
+        center = self.center + linalg.times_vector(gain, linalg.solve_lower(factor, usable))
+        return Correction(FactoredGaussian(center, left), log_evidence, peak)
+
+    def inflated(self, factor: float) -> "FactoredGaussian":
+        """Return the law with its covariance times a factor."""
+        return FactoredGaussian(self.center, self.factor * jnp.sqrt(jnp.asarray(factor, self.factor.dtype)))
+
+
+def _triangle(v: jax.Array) -> jax.Array:
+    """Lower factor of V V' for V `(i, m)`; the product is never formed."""
+    return linalg.cholesky_update(jnp.zeros((v.shape[0], v.shape[0]), v.dtype), v)
