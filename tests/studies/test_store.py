@@ -29,6 +29,7 @@ keep = Store.put
 def told(self, part, start, stop, arrays):
     keep(self, part, start, stop, arrays)
     print(f"{part or 'truth'},{start},{stop}", flush=True)
+    sys.stdin.readline()  # on a busy machine it would be done before it is killed
 Store.put = told
 mo.study(experiment(runs=int(sys.argv[2])), store=sys.argv[1], chunk=1)
 print("end", flush=True)
@@ -40,8 +41,8 @@ def child(folder, cache):
     paths = [str(here), str(here.parent), *filter(None, sys.path)]
     surroundings = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "JAX_COMPILATION_CACHE_DIR": str(cache),
                                  "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
-    return subprocess.Popen([sys.executable, "-c", CHILD, str(folder), str(RUNS)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                            text=True, env=surroundings, start_new_session=True)
+    return subprocess.Popen([sys.executable, "-c", CHILD, str(folder), str(RUNS)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True, env=surroundings, start_new_session=True)
 
 
 def blocks_of(folder):
@@ -61,6 +62,8 @@ def test_killed_at_any_moment_nothing_is_lost_or_done_twice(tmp_path):
                 break
             part, start, stop = line.split(",")
             told.append((part, int(start), int(stop)))
+            process.stdin.write("\n")
+            process.stdin.flush()
         time.sleep(chance.uniform(0, 0.03))
         process.send_signal(signal.SIGKILL if kill < 5 else signal.SIGINT)
         rest, errors = process.communicate(timeout=60)
