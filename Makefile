@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 BENCH := .venv-bench
-# compiles three times as fast; what holds for the full compiler alone is marked "optimized"
+# compiles three times as fast; what asks for the full compiler is marked "optimized"
 QUICK := --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0
 
 .PHONY: setup demo test test-native lint bench clean

@@ -247,6 +247,7 @@ def _scores(keys, scenario):
     return jax.vmap(lambda key: job.score(mo.run(key, filter, scenario.model, scenario.ys, scenario.inputs), scenario))(keys)
 
 
+@pytest.mark.optimized  # much to compute
 @pytest.mark.parametrize(("odometry", "rms"), [("recorded", 0.45), ("drifting", 0.85)])
 def test_recorded_run(odometry, rms):
     """With 300 particles; over 12 seeds the drifting run has a mean of 0.60 m and a spread of 0.13 m (benchmarks/accuracy.py: 1 000)."""

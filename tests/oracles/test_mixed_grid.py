@@ -8,6 +8,8 @@ import pytest
 import motes as mo
 
 STEPS = 6
+# much to compute, once for all tests
+pytestmark = [pytest.mark.optimized, pytest.mark.xdist_group("mixed grid")]
 
 
 def cases():
