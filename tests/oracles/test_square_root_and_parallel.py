@@ -48,17 +48,17 @@ def test_both_forms_equal_the_kalman_filter(cross, double):
 
 def test_the_factor_keeps_its_digits_in_float32():
     """A sharp sensor on a poorly known state: the Kalman filter in float32 errs visibly, the factored one does not."""
-    step = mo.LinearGaussian([[1.0, 1.0], [0.0, 1.0]], np.diag([1e-9, 1e-9]))
-    scaled = mo.StateSpaceModel(mo.Gaussian([0.0, 0.0], np.diag([1e6, 1e6])), step, mo.LinearGaussian([[1.0, 0.0]], [[1e-6]]))
-    ys = 1e-3 * np.arange(12.0)[:, None]
+    step = mo.LinearGaussian([[1.0, 1.0], [0.0, 1.0]], np.diag([1e-7, 1e-7]))
+    scaled = mo.StateSpaceModel(mo.Gaussian([0.0, 0.0], np.diag([1e4, 1e4])), step, mo.LinearGaussian([[1.0, 0.0]], [[1e-4]]))
+    ys = 1e-2 * np.arange(12.0)[:, None]
     with jax.enable_x64(True):
         wide = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), scaled)
         exact = np.asarray(mo.run(0, mo.KalmanFilter(), wide, ys).cov)
     errors = []
     for filter in (mo.KalmanFilter(), mo.SquareRootKalmanFilter()):
         cov = np.asarray(mo.run(0, filter, scaled, ys).cov)
-        errors.append(np.max(np.abs(cov[2:] - exact[2:]) / np.abs(exact[2:])))
-    assert errors[1] < 0.01 and errors[1] < 0.2 * errors[0]
+        errors.append(np.max(np.abs(cov[1:] - exact[1:]) / np.abs(exact[1:])))
+    assert errors[0] > 0.1 and errors[1] < 1e-5
 
 
 def test_one_step_and_refusals():
