@@ -22,8 +22,8 @@ def _forget_programs():
 WITHOUT_STAGES = ("Ensemble", "GaussianParticle", "GaussianSum", "CostReference", "Interacting", "JumpMarkov", "Auxiliary")
 """Filters whose cloud has no stages of its own on the native engine, only blocks that others use too."""
 ON_JAX = ("test_jump_markov", "test_ensemble_kalman", "test_sigma_points", "test_gaussian_particle_filters", "test_cost_reference",
-          "test_square_root_and_parallel", "test_proposals", "test_aircraft_tracking")  # fmt: skip
-"""Files about such filters alone."""
+          "test_square_root_and_parallel", "test_proposals", "test_aircraft_tracking", "test_bad_input")  # fmt: skip
+"""Files about such filters, or messages, alone."""
 DOUBLE = ("[float64-KalmanFilter]", "[float64-ParticleFilter]", "[float64-MarginalizedParticleFilter]")
 """Filters whose equal bits are asked for in float64 too."""
 
@@ -31,7 +31,8 @@ DOUBLE = ("[float64-KalmanFilter]", "[float64-ParticleFilter]", "[float64-Margin
 def tells_nothing_new(item, native):
     """Float64 of variants (named with a comma) and of filters that share their blocks; on the native engine what JAX does anyway.
 
-    That is float64, filters without particles, kernels with whole covariances, and all but two tests of filters without stages.
+    That is float64, filters without particles, kernels with whole covariances, and all but two tests of variants and of filters without
+    stages.
     """
     name, double = item.name, "double" in getattr(item, "fixturenames", ())
     shares = any(word in name for word in WITHOUT_STAGES)
@@ -45,7 +46,8 @@ def tells_nothing_new(item, native):
         return True
     if double or any(word in name for word in ("KalmanFilter", "PointMassFilter", "common kernel")):
         return True
-    return shares and "contract" in str(item.path) and not name.startswith(("test_stream", "test_extreme"))
+    few = "contract" in str(item.path) and (shares or ", " in name)
+    return few and not name.startswith(("test_stream", "test_extreme"))
 
 
 def pytest_collection_modifyitems(config, items):
