@@ -2,7 +2,7 @@
 
     python papers/survey2004/reproduce.py [growth noise aircraft river] [--runs 1000] [--data FOLDER]
 
-Tables go to out/survey2004. All of it takes some fifteen minutes on two cores. `aircraft` and `river` need recordings: FOLDER holds
+Tables go to out/survey2004. All of it takes some eight minutes on two cores. `aircraft` and `river` need recordings: FOLDER holds
 aircraft/adsb/belevingsvlucht.csv and timeseries/nile.csv.
 """
 
