@@ -15,7 +15,7 @@ from motes.filters.interface import as_state_space
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, check_inputs, step_inputs
+from motes.models.state_space import StateSpaceModel, at_step, check_inputs
 
 KIND = "Kalman filter at the true track"
 
@@ -52,14 +52,14 @@ def kalman_at_truth(model: Any, xs: jax.Array, inputs: Inputs = None) -> Bound:
 @jax.jit
 def _covariances(given: Any, xs: jax.Array, inputs: Inputs) -> jax.Array:
     model: StateSpaceModel = as_state_space("kalman_at_truth", given)
-    model.check(step_inputs(inputs, 0))
+    model.check(at_step(inputs, 0))
 
     def measure(cov: jax.Array, t: Any) -> jax.Array:
-        prediction, H, R = linearize.affine(model.sensor, xs[t], step_inputs(inputs, t), t)
+        prediction, H, R = linearize.affine(model.sensor, xs[t], at_step(inputs, t), t)
         return Gaussian(xs[t], cov).corrected(jnp.zeros_like(prediction), H, R).law.covariance
 
     def advance(cov: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
-        ahead = linearize.moved(model.dynamics, Gaussian(xs[t - 1], cov), step_inputs(inputs, t), t)
+        ahead = linearize.moved(model.dynamics, Gaussian(xs[t - 1], cov), at_step(inputs, t), t)
         cov = measure(ahead.covariance, t)
         return cov, cov
 

@@ -28,7 +28,7 @@ from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, check_inputs, step_inputs
+from motes.models.state_space import StateSpaceModel, at_step, check_inputs
 from motes.models.structure import trace
 
 KIND = "posterior Cramer-Rao bound"
@@ -93,8 +93,8 @@ def _check_model(model: Any) -> tuple[str, ...]:
 def _recursion(key: jax.Array, given: Any, steps: int, trajectories: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
     """Return the bounds `(t, x, x)` and the first fault so far `(t,)`."""
     model: StateSpaceModel = as_state_space("posterior_cramer_rao", given)
-    model.check(step_inputs(inputs, 0))
-    traced = trace(model, step_inputs(inputs, 0))
+    model.check(at_step(inputs, 0))
+    traced = trace(model, at_step(inputs, 0))
     states = slice(model.size)
     noise_varies = {name: bool(uses[states].any()) for name, uses in traced.noise_uses.items()}
     affine = not traced.slope_pairs["dynamics"][:, states, states].any() and not noise_varies["dynamics"]
@@ -118,10 +118,10 @@ def _recursion(key: jax.Array, given: Any, steps: int, trajectories: int, inputs
 
     def advance(carry: tuple[jax.Array, jax.Array, jax.Array], t: jax.Array) -> tuple[Any, Any]:
         X, G, fault = carry
-        G, in_sensor = measured(G, X, step_inputs(inputs, t), t)
+        G, in_sensor = measured(G, X, at_step(inputs, t), t)
         fault = jnp.where(fault > 0, fault, in_sensor)
         # on to the next step; of the one after the last nothing is kept
-        later, u = t + 1, step_inputs(inputs, jnp.minimum(t + 1, steps - 1))
+        later, u = t + 1, at_step(inputs, jnp.minimum(t + 1, steps - 1))
         ahead, in_dynamics = moved(G, X, u, later)
         X = model.dynamics.sample(random.child(random.step_key(key, later), random.PREDICT), X, u, later)
         return (X, ahead, jnp.where(fault > 0, fault, in_dynamics)), (G, fault)

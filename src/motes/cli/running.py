@@ -21,7 +21,7 @@ from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.run import run_in_chunks
 from motes.io.archive import provenance, whole_file
-from motes.models.state_space import step_inputs
+from motes.models.state_space import at_step
 
 CHUNKS = 20
 
@@ -54,7 +54,7 @@ def race(seed: int, filters: Mapping[str, Filter], model: Any, ys: jax.Array, in
         MotesError: a filter does not fit the model, or its weights collapsed.
     """
     for one in filters.values():
-        one.prepare(model, step_inputs(inputs, 0))
+        one.prepare(model, at_step(inputs, 0))
     columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn())
     outcomes = {}
     with Progress(*columns, console=Console(stderr=True)) as progress:

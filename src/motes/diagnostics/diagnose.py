@@ -86,8 +86,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     """
     if not isinstance(history, History):
         checks.refuse("diagnose history", "what mo.run gave", type(history).__name__)
-    start = int(history.start)
-    found = [_collapse(history, start), *_surprise(history, start), *_weights(history, start), _invalid(history, start)]
+    found = [_collapse(history), *_surprise(history), *_weights(history), _invalid(history)]
     if "law" in history.kept:
         found += _laws(history)
     if truth is not None:
@@ -96,15 +95,15 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     return Diagnosis(tuple(sorted(kept, key=lambda finding: not finding.serious)))
 
 
-def _collapse(history: History, start: int) -> Finding | None:
+def _collapse(history: History) -> Finding | None:
     steps = np.flatnonzero(np.asarray(history.info.collapsed))
     if not steps.size:
         return None
-    text = f"at {_steps(steps, start)} no particle explained the measurement, which was then not used."
+    text = f"at {_steps(history, steps)} no particle explained the measurement, which was then not used."
     return Finding("collapse", text, "Check the measurement there; widen the noises, or use more particles or a proposal.", True)
 
 
-def _surprise(history: History, start: int) -> list[Finding]:
+def _surprise(history: History) -> list[Finding]:
     gaps = np.asarray(history.info.gap, np.float64)
     usual = history.last.y.shape[0] / 2
     far = (gaps > FAR + usual) | np.asarray(history.info.collapsed)
@@ -113,10 +112,12 @@ def _surprise(history: History, start: int) -> list[Finding]:
     long = [piece for piece in runs if piece.size >= IN_A_ROW]
     if long:
         first = long[0]
-        text = (f"from step {start + first[0]} on, {first.size} measurements in a row lie {np.sqrt(2 * gaps[first].max()):.0f} or fewer "
-                f"standard deviations from {'every particle' if weighted else 'the prediction'}.")  # fmt: skip
+        deviations, center = np.sqrt(2 * gaps[first].max()), "every particle" if weighted else "the prediction"
+        text = (f"from step {int(history.start) + first[0]} on, {first.size} measurements in a row lie {deviations:.0f} or fewer "
+                f"standard deviations from {center}.")  # fmt: skip
         return [Finding("lost", text, "More process noise, a model that can move so, or more particles; start anew there.", True)]
-    measured = gaps[np.asarray(history.info.lowest) != 0]
+    # where nothing was measured the log evidence is exactly 0
+    measured = gaps[np.asarray(history.info.log_evidence) != 0]
     if weighted or not measured.size:
         return []
     band = chi_square_band(history.last.y.shape[0], measured.size, LEVEL)
@@ -127,7 +128,7 @@ def _surprise(history: History, start: int) -> list[Finding]:
     return []
 
 
-def _weights(history: History, start: int) -> list[Finding]:
+def _weights(history: History) -> list[Finding]:
     ess = np.asarray(history.ess, np.float64)
     if not np.isfinite(ess).any() or not hasattr(history.state, "log_weights"):
         return []
@@ -135,7 +136,7 @@ def _weights(history: History, start: int) -> list[Finding]:
     starving = [piece for piece in _in_a_row(ess < min(STARVED, 0.5 * n)) if piece.size >= STARVED_FOR]
     if starving:
         first = starving[0]
-        text = f"from step {start + first[0]} on, {first.size} steps in a row live on fewer than {STARVED:g} of {n} particles."
+        text = f"from step {int(history.start) + first[0]} on, {first.size} steps in a row live on fewer than {STARVED:g} of {n} particles."
         return [Finding("starvation", text, "More particles, a proposal that looks ahead, regularization, or a marginalized filter.", True)]
     median = float(np.median(ess))
     if median < SCARCE * n:
@@ -144,11 +145,11 @@ def _weights(history: History, start: int) -> list[Finding]:
     return []
 
 
-def _invalid(history: History, start: int) -> Finding | None:
+def _invalid(history: History) -> Finding | None:
     invalid = np.asarray(history.info.invalid)
     if not invalid.any():
         return None
-    text = f"at {_steps(np.flatnonzero(invalid), start)} up to {invalid.max()} particles had a likelihood that is not a number."
+    text = f"at {_steps(history, np.flatnonzero(invalid))} up to {invalid.max()} particles had a likelihood that is not a number."
     return Finding("invalid", text, "Look for roots and logarithms of negative numbers in the sensor; such particles got no weight.", False)
 
 
@@ -195,6 +196,6 @@ def _in_a_row(flags: np.ndarray) -> list[np.ndarray]:
     return [] if not where.size else np.split(where, np.flatnonzero(np.diff(where) > 1) + 1)
 
 
-def _steps(steps: np.ndarray, start: int) -> str:
-    first = start + int(steps[0])
+def _steps(history: History, steps: np.ndarray) -> str:
+    first = int(history.start) + int(steps[0])
     return f"step {first}" if steps.size == 1 else f"{steps.size} steps, first step {first},"

@@ -52,9 +52,7 @@ def founders(history: History) -> jax.Array:
     Raises:
         MotesError: laws were not kept, or have no ancestors.
     """
-    ancestors = getattr(history.law, "ancestors", None)
-    if ancestors is None:
-        checks.refuse("founders history", "laws with ancestors", type(history.state).__name__)
+    ancestors = _ancestors("founders", history)
     everyone = jnp.arange(ancestors.shape[1], dtype=jnp.int32)
     return jax.lax.scan(lambda own, before: (before[own], None), everyone, ancestors[1:], reverse=True)[0]
 
@@ -65,11 +63,8 @@ def surviving(history: History, lag: int) -> np.ndarray:
     Raises:
         MotesError: laws were not kept, have no ancestors, or the run is not longer than the lag.
     """
-    ancestors = getattr(history.law, "ancestors", None)
-    if ancestors is None:
-        checks.refuse("surviving history", "laws with ancestors", type(history.state).__name__)
+    parents = np.asarray(_ancestors("surviving", history))
     checks.positive_integer("surviving lag", lag)
-    parents = np.asarray(ancestors)
     if len(parents) <= lag:
         checks.refuse("surviving lag", f"less than the {len(parents)} steps of the run", lag)
     found = []
@@ -79,6 +74,13 @@ def surviving(history: History, lag: int) -> np.ndarray:
             own = np.unique(parents[t - back][own])
         found.append(own.size)
     return np.array(found)
+
+
+def _ancestors(asked_by: str, history: History) -> jax.Array:
+    ancestors = getattr(history.law, "ancestors", None)
+    if ancestors is None:
+        checks.refuse(f"{asked_by} history", "laws with ancestors", type(history.state).__name__)
+    return ancestors
 
 
 class LikelihoodVariance(NamedTuple):

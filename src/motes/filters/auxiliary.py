@@ -58,7 +58,11 @@ class AuxiliaryParticleFilter(Filter):
             MotesError: n is not a positive whole number, or the proposal has the wrong kind.
         """
         checks.positive_integer("AuxiliaryParticleFilter n", self.n)
-        as_proposal("AuxiliaryParticleFilter proposal", self.proposal)
+        _ = self._moves
+
+    @property
+    def _moves(self) -> Proposal:
+        return as_proposal("AuxiliaryParticleFilter proposal", self.proposal)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for dynamics that can be drawn from and have a mean, a sensor with a density, and what the proposal needs.
@@ -70,7 +74,7 @@ class AuxiliaryParticleFilter(Filter):
         if not linearize.has_moments(model.dynamics):
             checks.refuse("AuxiliaryParticleFilter dynamics", "a mean function (particles are scored at it)", type(model.dynamics).__name__,
                           "Use a ParticleFilter.")
-        as_proposal("AuxiliaryParticleFilter proposal", self.proposal).check("AuxiliaryParticleFilter", model, u)
+        self._moves.check("AuxiliaryParticleFilter", model, u)
         return model
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
@@ -84,11 +88,10 @@ class AuxiliaryParticleFilter(Filter):
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Go to the next time t and take in its measurement."""
-        proposal = as_proposal("AuxiliaryParticleFilter proposal", self.proposal)
         resample_key, noise_key = (random.child(random.child(key, random.PREDICT), purpose) for purpose in (random.RESAMPLE, random.NOISE))
-        score = _told(proposal.score(model, state.particles, y, u, t))
+        score = _told(self._moves.score(model, state.particles, y, u, t))
         parents = resample(resample_key, self.scheme, self.policy, state, score)
-        after, info = guided(noise_key, proposal, model, parents, y, u, t)
+        after, info = guided(noise_key, self._moves, model, parents, y, u, t)
 
         def blind() -> Cloud:
             cloud = resample(resample_key, self.scheme, self.policy, state)

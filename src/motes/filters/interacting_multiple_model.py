@@ -16,13 +16,13 @@ import jax.numpy as jnp
 
 from motes.core import linalg
 from motes.core.record import record, replace
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_jump_markov, weigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_jump_markov, weigh_modes
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import moments_each
 from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import log_chances
 from motes.models import linearize
-from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_parts, measured
+from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_parts
 
 
 @record
@@ -65,6 +65,4 @@ class InteractingMultipleModel(TwoStageFilter):
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
     ) -> tuple[ModeMixture, Info]:
         """Condition each mode's Gaussian on y, and weigh the modes."""
-        done = measured(model, state, y, u, t)
-        weights, info = weigh(state.log_weights, done.log_evidence, done.peak)
-        return replace(state, parts=done.law, log_weights=weights), info
+        return weigh_modes(model, state, y, u, t)

@@ -11,8 +11,9 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional, Custom
+from motes.laws.mode_mixture import ModeMixture
 from motes.models import linearize
-from motes.models.jump_markov import JumpMarkovModel
+from motes.models.jump_markov import JumpMarkovModel, measured
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.proposals import Proposal
 from motes.models.state_space import StateSpaceModel
@@ -131,6 +132,13 @@ def guided(
     moved, log_weight, ceiling = proposal.proposed(key, model, parents.particles, y, u, t)
     weights, info = weigh(parents.log_weights, log_weight, ceiling)
     return replace(parents, particles=moved, log_weights=weights), info
+
+
+def weigh_modes(model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:
+    """Correct the Gaussian of each component by the sensor of its mode, and weigh it by its predictive density of y."""
+    done = measured(model, state, y, u, t)
+    weights, info = weigh(state.log_weights, done.log_evidence, done.peak)
+    return replace(state, parts=done.law, log_weights=weights), info
 
 
 class Guide(NamedTuple):
@@ -267,13 +275,25 @@ def as_particle_model(asked_by: str, model: Any, transition_density: bool) -> St
     """
     model = as_state_space(asked_by, model)
     dynamics, sensor = model.dynamics, model.sensor
-    if isinstance(sensor, Custom) and sensor.density is None:
-        checks.refuse(f"{asked_by} sensor", "a log_prob (weights are likelihoods)", "Custom with sample only")
+    ask_density(f"{asked_by} sensor", sensor, " (weights are likelihoods)")
     if isinstance(dynamics, Custom) and dynamics.sampler is None:
         checks.refuse(f"{asked_by} dynamics", "a sample function (particles are moved by it)", "Custom with log_prob only")
-    if transition_density and isinstance(dynamics, Custom) and dynamics.density is None:
-        checks.refuse(f"{asked_by} dynamics", "a log_prob (a proposal's weights need it)", "Custom with sample only")
+    if transition_density:
+        ask_density(f"{asked_by} dynamics", dynamics, " (a proposal's weights need it)")
     return model
+
+
+def ask_density(argument: str, part: Conditional, why: str = "", hint: str = "") -> None:
+    """Refuse a conditional without a density.
+
+    Args:
+        argument: who asks, and for which part of the model.
+        part: the conditional.
+        why: reason, for the message.
+        hint: what to do instead.
+    """
+    if isinstance(part, Custom) and part.density is None:
+        checks.refuse(argument, f"a log_prob{why}", "Custom with sample only", hint)
 
 
 def as_linear_model(asked_by: str, model: Any, u: Any) -> StateSpaceModel:

@@ -17,13 +17,13 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
-from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_jump_markov, weigh
+from motes.core.record import record, static
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_jump_markov, weigh_modes
 from motes.laws.gaussian import Gaussian
 from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import log_chances
 from motes.models import linearize
-from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_parts, measured
+from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_parts
 from motes.resampling.reduction import Reduction, reduced
 from motes.resampling.schemes import Systematic
 
@@ -108,6 +108,4 @@ class JumpMarkovFilter(TwoStageFilter):
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
     ) -> tuple[ModeMixture, Info]:
         """Weigh each hypothesis by its predictive density of y, and correct its Gaussian."""
-        done = measured(model, state, y, u, t)
-        weights, info = weigh(state.log_weights, done.log_evidence, done.peak)
-        return replace(state, parts=done.law, log_weights=weights), info
+        return weigh_modes(model, state, y, u, t)

@@ -21,7 +21,7 @@ from motes.filters.run import checked_measurements
 from motes.laws.gaussian import Gaussian, among, zeroed
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, driven, step_inputs
+from motes.models.state_space import StateSpaceModel, at_step, driven
 
 
 class _Element(NamedTuple):
@@ -55,9 +55,9 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
 @jax.jit
 def _run(model: Any, ys: jax.Array, inputs: Inputs) -> History:
     model, told = driven(model, inputs, ys)
-    model = as_linear_model("run_in_parallel", model, step_inputs(told, 0))
+    model = as_linear_model("run_in_parallel", model, at_step(told, 0))
     t = jnp.arange(ys.shape[0], dtype=jnp.int32)
-    first = linearize.measured(model.sensor, Gaussian(model.initial.mean(), model.initial.cov()), ys[0], step_inputs(told, 0), t[0])
+    first = linearize.measured(model.sensor, Gaussian(model.initial.mean(), model.initial.cov()), ys[0], at_step(told, 0), t[0])
     nothing = jnp.zeros_like(first.law.covariance)
     opening = _Element(nothing, first.law.center, first.law.covariance, jnp.zeros_like(first.law.center), nothing)
     others = jax.vmap(lambda y, u, t: _element(model, y, u, t))(*jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
@@ -72,7 +72,7 @@ def _run(model: Any, ys: jax.Array, inputs: Inputs) -> History:
     laws = done.law
     info = jax.vmap(single)(done.log_evidence, done.peak)
     evidence = RunningSum(jnp.sum(done.log_evidence), jnp.zeros((), ys.dtype))
-    last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, ys[-1], step_inputs(inputs, -1), t[-1])
+    last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, ys[-1], at_step(inputs, -1), t[-1])
     return History(jax.vmap(keep.moments)(laws), info, last, jnp.int32(0), model.names, "")
 
 

@@ -50,12 +50,16 @@ class ParticleFilter(TwoStageFilter):
             MotesError: n is not a positive whole number, or another knob has the wrong kind.
         """
         checks.positive_integer("ParticleFilter n", self.n)
-        as_proposal("ParticleFilter proposal", self.proposal)
+        _ = self._moves
 
     @property
     def look_ahead(self) -> bool:  # type: ignore[override]
         """With a proposal the filter moves only when it knows the measurement."""
         return self.proposal is not None
+
+    @property
+    def _moves(self) -> Proposal:
+        return as_proposal("ParticleFilter proposal", self.proposal)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for dynamics that can be drawn from, a sensor with a density, and what the proposal needs.
@@ -64,7 +68,7 @@ class ParticleFilter(TwoStageFilter):
             MotesError: one is missing.
         """
         model = as_particle_model("ParticleFilter", model, transition_density=isinstance(self.proposal, Conditional))
-        as_proposal("ParticleFilter proposal", self.proposal).check("ParticleFilter", model, u)
+        self._moves.check("ParticleFilter", model, u)
         return model
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
@@ -91,6 +95,6 @@ class ParticleFilter(TwoStageFilter):
         predict_key = random.child(key, random.PREDICT)
         cloud = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
         noise_key = random.child(predict_key, random.NOISE)
-        after, info = guided(noise_key, as_proposal("ParticleFilter proposal", self.proposal), model, cloud, y, u, t)
+        after, info = guided(noise_key, self._moves, model, cloud, y, u, t)
         blind = replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
         return self.settle(blind, after, info, y)

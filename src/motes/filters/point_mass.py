@@ -9,14 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, logspace
+from motes.core import checks, logspace, pairs
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, weigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, ask_density, weigh
 from motes.laws.cloud import Cloud
-from motes.laws.conditional import Custom
 from motes.models.state_space import StateSpaceModel
-
-_PAIRS_AT_ONCE = 4_000_000
 
 
 @record
@@ -67,9 +64,7 @@ class PointMassFilter(TwoStageFilter):
         if model.size != len(self.nodes):
             checks.refuse("PointMassFilter nodes", f"{model.size} dimensions (states of the model)", len(self.nodes))
         for name in ("dynamics", "sensor"):
-            part = getattr(model, name)
-            if isinstance(part, Custom) and part.density is None:
-                checks.refuse(f"PointMassFilter {name}", "a log_prob", "Custom with sample only")
+            ask_density(f"PointMassFilter {name}", getattr(model, name))
         return model
 
     def grid(self, dtype: jnp.dtype) -> jax.Array:
@@ -89,8 +84,7 @@ class PointMassFilter(TwoStageFilter):
         def arriving(node: jax.Array) -> jax.Array:
             return jax.nn.logsumexp(model.dynamics.log_prob(node, points, u, t) + state.log_weights)
 
-        batch = max(1, min(points.shape[-1], _PAIRS_AT_ONCE // points.shape[-1]))
-        weights = jax.lax.map(arriving, points.T, batch_size=batch)
+        weights = pairs.against_all(arriving, points.T, points.shape[-1])
         return replace(state, log_weights=logspace.normalize(weights)[0])
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:

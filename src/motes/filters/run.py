@@ -19,7 +19,7 @@ from motes.laws.conditional import Conditional
 from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.jump_markov import JumpMarkovModel, modes_of
 from motes.models.mixed_linear import MixedLinearModel
-from motes.models.state_space import Previous, StateSpaceModel, check_inputs, decorrelated, measurement_size, step_inputs
+from motes.models.state_space import Previous, StateSpaceModel, at_step, check_inputs, decorrelated, measurement_size
 from motes.native import report
 
 Keep = Callable[[Any], dict[str, Any]]
@@ -96,7 +96,7 @@ def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first:
         return (carry, after), (keep(carry.state), info)
 
     if first is None:
-        carry, info = engine.begin(ys[0], step_inputs(inputs, 0))
+        carry, info = engine.begin(ys[0], at_step(inputs, 0))
         opening = (keep(carry.state), info)
         start = jnp.int32(0)
         carry, rest = _over(advance, carry, jax.tree.map(lambda leaf: leaf[1:], (ys, inputs)))

@@ -76,10 +76,15 @@ class Cloud(Law):
 
 def draw(key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
     """Draw n independent indices `(n,)` int32 with the given normalized log weights."""
-    return pick(log_weights, random.uniform(key, (n,), log_weights.dtype))
+    return pick(jnp.exp(log_weights), random.uniform(key, (n,), log_weights.dtype))
 
 
-def pick(log_masses: jax.Array, points: jax.Array) -> jax.Array:
-    """Indices int32 that belong to uniform numbers in [0, 1), of any shape, by log masses `(n,)` that need not be normalized."""
-    edges = jnp.cumsum(jnp.exp(log_masses - jnp.max(log_masses)))
-    return jnp.clip(jnp.searchsorted(edges, points * edges[-1], side="right"), 0, log_masses.shape[0] - 1).astype(jnp.int32)
+def pick(amounts: jax.Array, points: jax.Array) -> jax.Array:
+    """Indices int32 that belong to uniform numbers in [0, 1), of any shape, in proportion to amounts `(n,)`."""
+    edges = jax.lax.cummax(jnp.cumsum(amounts))
+    return jnp.minimum(jnp.searchsorted(edges, points * edges[-1], side="right"), last_positive(amounts)).astype(jnp.int32)
+
+
+def last_positive(amounts: jax.Array) -> jax.Array:
+    """Index of the last amount that is not zero, `()` int32: rounding must not lead beyond it."""
+    return jnp.max(jnp.where(amounts > 0, jnp.arange(amounts.shape[0], dtype=jnp.int32), 0))

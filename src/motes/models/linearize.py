@@ -21,6 +21,11 @@ def affine(part: Conditional, x: jax.Array, u: Any, t: Any) -> tuple[jax.Array, 
     return part.mean(x, u, t), jax.jacfwd(lambda x: part.mean(x, u, t))(x), part.cov(x, u, t)
 
 
+def affine_each(part: Conditional, X: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Do what `affine` does at each of n states `(x, n)`; the particle axis is the last of all three."""
+    return jax.vmap(lambda x: affine(part, x, u, t), in_axes=-1, out_axes=-1)(X)
+
+
 def moved(dynamics: Conditional, law: Gaussian, u: Any, t: Any) -> Gaussian:
     """Move a Gaussian to time t: the mean through the dynamics, the covariance through their slope at the mean, plus noise."""
     center, slope, noise = affine(dynamics, law.center, u, t)
@@ -52,7 +57,7 @@ def moved_each(dynamics: Conditional, laws: Gaussian, u: Any, t: Any, shared: tu
         shared: slope `(x, x)` and noise covariance `(x, x)` where they are the same at every state; None to work them out at each mean.
     """
     if shared is None:
-        centers, slope, noise = jax.vmap(lambda x: affine(dynamics, x, u, t), in_axes=-1, out_axes=-1)(laws.center)
+        centers, slope, noise = affine_each(dynamics, laws.center, u, t)
     else:
         centers, (slope, noise) = dynamics.means(laws.center, u, t), shared  # type: ignore[attr-defined]
     return Gaussian(centers, linalg.add(linalg.sandwich(slope, laws.covariance), noise))
@@ -60,7 +65,7 @@ def moved_each(dynamics: Conditional, laws: Gaussian, u: Any, t: Any, shared: tu
 
 def measured_each(sensor: Conditional, laws: Gaussian, y: jax.Array, u: Any, t: Any) -> Correction:
     """Condition each of a batch of Gaussians, means `(x, n)`, covariances `(x, x, n)`, as `measured` does."""
-    prediction, slope, noise = jax.vmap(lambda x: affine(sensor, x, u, t), in_axes=-1, out_axes=-1)(laws.center)
+    prediction, slope, noise = affine_each(sensor, laws.center, u, t)
     every = range(laws.center.shape[0])
     return laws.corrected_in_turn(sensor.residual(y, prediction), [(every, slope)], noise, ~jnp.isnan(y))
 

@@ -12,7 +12,7 @@ from motes.core.types import Inputs, KeyLike
 from motes.laws.conditional import Custom
 from motes.models.canonical import canonical, one_of
 from motes.models.jump_markov import JumpMarkovModel
-from motes.models.state_space import Previous, StateSpaceModel, check_inputs, decorrelated, step_inputs
+from motes.models.state_space import Previous, StateSpaceModel, at_step, check_inputs, decorrelated
 
 
 def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:
@@ -86,7 +86,7 @@ def _measurements(key: jax.Array, given: Any, xs: jax.Array, inputs: Inputs) -> 
 @partial(jax.jit, static_argnames=("steps",))
 def _simulate(key: jax.Array, given: Any, steps: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
     model = given if isinstance(given, StateSpaceModel) else given.joined()
-    model.check(step_inputs(inputs, 0))
+    model.check(at_step(inputs, 0))
     # a filter that is given the same key must not draw the truth as its first particle
     key = random.child(key, random.NOISE)
     separate = decorrelated(model)
@@ -94,14 +94,14 @@ def _simulate(key: jax.Array, given: Any, steps: int, inputs: Inputs) -> tuple[j
 
     def advance(carry: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple[Any, Any]:
         x, y = carry
-        u = step_inputs(inputs, t)
-        driven = Previous(u, step_inputs(inputs, t - 1), y) if correlated else u
+        u = at_step(inputs, t)
+        driven = Previous(u, at_step(inputs, t - 1), y) if correlated else u
         keyed = random.child(random.step_key(key, t), random.PREDICT)
         x = separate.dynamics.sample(keyed, x[:, None], driven, t)[:, 0]
         y = _measured(key, model, x, u, t)
         return (x, y), (x, y)
 
     x = model.initial.sample(random.child(random.step_key(key, 0), random.INITIAL), 1)[:, 0]
-    y = _measured(key, model, x, step_inputs(inputs, 0), jnp.int32(0))
+    y = _measured(key, model, x, at_step(inputs, 0), jnp.int32(0))
     _, (xs, ys) = jax.lax.scan(advance, (x, y), jnp.arange(1, steps, dtype=jnp.int32))
     return jnp.concatenate([x[None], xs]), jnp.concatenate([y[None], ys])

@@ -203,9 +203,9 @@ def measurement_size(model: StateSpaceModel, inputs_of_step: Inputs) -> int | No
     return jax.eval_shape(lambda part, x, u, t: part.given(x, u, t).mean(), part, x, inputs_of_step, t).shape[0]
 
 
-def step_inputs(inputs: Inputs, step: jax.Array | int) -> Inputs:
-    """Return the inputs of one step from a tree with the time axis first."""
-    return jax.tree.map(lambda leaf: leaf[step], inputs)
+def at_step(rows: Any, step: jax.Array | int) -> Any:
+    """Return what belongs to one step, inputs or laws, of a tree with the time axis first."""
+    return jax.tree.map(lambda leaf: leaf[step], rows)
 
 
 def check_inputs(inputs: Inputs, steps: int, like: str) -> None:

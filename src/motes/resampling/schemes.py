@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, replace
+from motes.laws.cloud import draw, last_positive, pick
 
 _BLOCK = 1024
 
@@ -67,7 +68,6 @@ class Scheme(ABC):
         Returns:
             Indices `(n,)` int32; non-decreasing, except from a scheme of `slotwise.py`.
         """
-
 
     def conditional_ancestors(self, key: jax.Array, log_weights: jax.Array, fixed: jax.Array, slot: int = 0) -> jax.Array:
         """Draw n ancestors of n particles given that of one child, for conditional sequential Monte Carlo.
@@ -125,7 +125,7 @@ def boundaries(log_weights: jax.Array, n: int) -> Boundaries:
     # rounding of n w leaves the sum a little off n: spread in proportion, or the last particle would get it all
     missing = (n - whole[-1]) - part[-1]
     part = part + missing * ((whole + part) / (whole[-1] + part[-1]))
-    return Boundaries(whole, part, _last(weights))
+    return Boundaries(whole, part, last_positive(weights))
 
 
 def ancestors_from_ends(ends: jax.Array, n: int, last: jax.Array) -> jax.Array:
@@ -182,11 +182,11 @@ class Multinomial(Scheme):
         """Draw n ancestors; see `Scheme`."""
         weights = jnp.exp(log_weights)
         counts = _independent_counts(key, weights, n, jnp.int32(n))
-        return ancestors_from_ends(jnp.cumsum(counts), n, _last(weights))
+        return ancestors_from_ends(jnp.cumsum(counts), n, last_positive(weights))
 
     def conditional_ancestors(self, key: jax.Array, log_weights: jax.Array, fixed: jax.Array, slot: int = 0) -> jax.Array:
         """See `Scheme`: the other children do not look at that one."""
-        drawn = independent(key, jnp.exp(log_weights), log_weights.shape[0])
+        drawn = draw(key, log_weights, log_weights.shape[0])
         return drawn.at[slot].set(jnp.asarray(fixed, jnp.int32))
 
 
@@ -200,7 +200,7 @@ class Residual(Scheme):
         expected = weights * (n / jnp.sum(weights))
         certain = jnp.floor(expected).astype(jnp.int32)
         counts = certain + _independent_counts(key, expected - certain, n, n - jnp.sum(certain))
-        return ancestors_from_ends(jnp.cumsum(counts), n, _last(weights))
+        return ancestors_from_ends(jnp.cumsum(counts), n, last_positive(weights))
 
 
 @record
@@ -234,22 +234,11 @@ class SSP(Scheme):
         counts = certain.at[raised].add(1, mode="drop")
         # what rounding leaves of the last fraction is whole: it goes where the number of children asks for
         counts = counts.at[last].add(jnp.maximum(n - jnp.sum(counts), 0))
-        return ancestors_from_ends(jnp.cumsum(counts), n, _last(weights))
-
-
-def independent(key: jax.Array, amounts: jax.Array, n: int) -> jax.Array:
-    """Draw n independent indices `(n,)` int32 in proportion to the amounts."""
-    edges = jax.lax.cummax(jnp.cumsum(amounts))
-    points = random.uniform(key, (n,), amounts.dtype) * edges[-1]
-    return jnp.minimum(jnp.searchsorted(edges, points, side="right"), _last(amounts)).astype(jnp.int32)
+        return ancestors_from_ends(jnp.cumsum(counts), n, last_positive(weights))
 
 
 def _independent_counts(key: jax.Array, amounts: jax.Array, n: int, draws: jax.Array) -> jax.Array:
     """Count how often each index comes up in `draws` (at most n) independent draws in proportion to the amounts."""
-    chosen = independent(key, amounts, n)
+    chosen = pick(amounts, random.uniform(key, (n,), amounts.dtype))
     used = jnp.arange(n) < draws
     return jnp.zeros(amounts.shape, jnp.int32).at[chosen].add(used.astype(jnp.int32))
-
-
-def _last(amounts: jax.Array) -> jax.Array:
-    return jnp.max(jnp.where(amounts > 0, jnp.arange(amounts.shape[0], dtype=jnp.int32), 0))

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, static
-from motes.resampling.schemes import Scheme, independent
+from motes.laws.cloud import draw, pick
+from motes.resampling.schemes import Scheme
 
 
 @record
@@ -18,7 +19,7 @@ class Killing(Scheme):
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
         """Draw n ancestors; see `Scheme`."""
         weights = jnp.exp(log_weights)
-        anew = independent(random.child(key, 0), weights, n)
+        anew = draw(random.child(key, 0), log_weights, n)
         if n != weights.shape[0]:
             return anew
         stays = random.uniform(random.child(key, 1), (n,), weights.dtype) * jnp.max(weights) < weights
@@ -29,7 +30,8 @@ class Killing(Scheme):
         n, weights = log_weights.shape[0], jnp.exp(log_weights)
         survival = weights / jnp.max(weights)
         own = jnp.arange(n) == fixed
-        place = independent(random.child(key, 0), 1 - survival + own * jnp.sum(survival), 1)[0]
+        turned = 1 - survival + own * jnp.sum(survival)
+        place = pick(turned, random.uniform(random.child(key, 0), (), weights.dtype))
         drawn = self.ancestors(random.child(key, 1), log_weights, n)
         return jnp.roll(drawn.at[place].set(jnp.asarray(fixed, jnp.int32)), slot - place)
 
@@ -94,7 +96,7 @@ class RejectionResampling(Scheme):
 
         start = (jnp.int32(0), _starts(random.child(key, 1), weights, n), jnp.zeros((n,), bool))
         _, at, done = jax.lax.while_loop(lambda held: (held[0] < self.trials) & ~jnp.all(held[2]), advance, start)
-        return jax.lax.cond(jnp.all(done), lambda: at, lambda: jnp.where(done, at, independent(random.child(key, 2), weights, n)))
+        return jax.lax.cond(jnp.all(done), lambda: at, lambda: jnp.where(done, at, draw(random.child(key, 2), log_weights, n)))
 
 
 def _starts(key: jax.Array, weights: jax.Array, n: int) -> jax.Array:

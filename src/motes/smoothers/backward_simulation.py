@@ -14,8 +14,8 @@ from motes.core.record import record, static
 from motes.filters.history import History
 from motes.filters.interface import as_state_space
 from motes.laws.cloud import Cloud, draw, weighted_moments
-from motes.models.state_space import StateSpaceModel
-from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_density, ask_laws, at
+from motes.models.state_space import StateSpaceModel, at_step
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_backward_density, ask_laws
 from motes.smoothers.parents import ExactParents, Move, Parents
 
 
@@ -49,14 +49,14 @@ class BackwardSimulationSmoother(Smoother):
         """
         ask_laws("BackwardSimulationSmoother", history, Cloud, "Use RauchTungStriebelSmoother or RaoBlackwellizedSmoother.")
         model = as_state_space("BackwardSimulationSmoother", model)
-        ask_density("BackwardSimulationSmoother", model)
+        ask_backward_density("BackwardSimulationSmoother", model)
         self.parents.check(model.dynamics)
         return model
 
     def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
         """Draw trajectories backward."""
         clouds: Cloud = history.law
-        last = at(clouds, -1)
+        last = at_step(clouds, -1)
         chosen = draw(random.child(key, random.INITIAL), last.log_weights, self.n)
 
         def back(held: tuple[jax.Array, jax.Array], row: Any) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:

@@ -15,8 +15,8 @@ from motes.core.record import record, static
 from motes.filters.history import History
 from motes.filters.interface import as_state_space
 from motes.laws.cloud import Cloud, weighted_moments
-from motes.models.state_space import StateSpaceModel
-from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws, at
+from motes.models.state_space import StateSpaceModel, at_step
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws
 
 
 @record
@@ -73,6 +73,6 @@ def _lagged(clouds: Cloud, lag: int) -> Smoothed:
     def moments(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         late = jnp.minimum(t + lag, count - 1)
         own = jax.lax.fori_loop(0, late - t, lambda k, own: clouds.ancestors[late - k][own], everyone)
-        return weighted_moments(clouds.log_weights[late], at(clouds.particles, t)[:, own])
+        return weighted_moments(clouds.log_weights[late], at_step(clouds.particles, t)[:, own])
 
     return Smoothed(*jax.lax.map(moments, jnp.arange(count)))

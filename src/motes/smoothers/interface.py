@@ -8,7 +8,7 @@ import jax
 from motes.core import checks
 from motes.core.record import record, static
 from motes.filters.history import History
-from motes.laws.conditional import Custom
+from motes.filters.interface import ask_density
 from motes.laws.law import Law
 from motes.models.state_space import StateSpaceModel
 
@@ -95,13 +95,6 @@ def ask_laws(asked_by: str, history: History, kind: type[Law], hint: str) -> Non
     _ = history.law
 
 
-def ask_density(asked_by: str, model: StateSpaceModel) -> None:
+def ask_backward_density(asked_by: str, model: StateSpaceModel) -> None:
     """Refuse dynamics without a density."""
-    if isinstance(model.dynamics, Custom) and model.dynamics.density is None:
-        checks.refuse(f"{asked_by} dynamics", "a log_prob (paths are drawn backward by it)", "Custom with sample only",
-                      "GenealogySmoother needs none.")
-
-
-def at(rows: Any, step: jax.Array | int) -> Any:
-    """Return what belongs to one step of a tree with the time axis first."""
-    return jax.tree.map(lambda leaf: leaf[step], rows)
+    ask_density(f"{asked_by} dynamics", model.dynamics, " (paths are drawn backward by it)", "GenealogySmoother needs none.")

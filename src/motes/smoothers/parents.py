@@ -6,13 +6,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, random
+from motes.core import checks, logspace, pairs, random
 from motes.core.record import record, static
 from motes.laws.cloud import Cloud, draw, pick
 from motes.laws.conditional import AdditiveGaussian, Conditional
-
-PAIRS_AT_ONCE = 4_000_000
-"""So many densities of pairs are held in memory at a time."""
 
 
 class Move(NamedTuple):
@@ -57,7 +54,7 @@ class Parents(ABC):
 
 def _exact(cloud: Cloud, move: Move, after: jax.Array, point: jax.Array) -> jax.Array:
     """Parent of one state `(x,)` that belongs to the uniform number."""
-    return pick(cloud.log_weights + move.log_prob(after, cloud.particles), point)
+    return pick(jnp.exp(logspace.normalize(cloud.log_weights + move.log_prob(after, cloud.particles))[0]), point)
 
 
 @record
@@ -67,8 +64,7 @@ class ExactParents(Parents):
     def draw(self, key: jax.Array, cloud: Cloud, move: Move, after: jax.Array, ancestors: jax.Array) -> jax.Array:
         """See `Parents`."""
         points = random.uniform(key, (after.shape[-1],), after.dtype)
-        at_once = max(1, min(after.shape[-1], PAIRS_AT_ONCE // cloud.log_weights.shape[0]))
-        return jax.lax.map(lambda pair: _exact(cloud, move, *pair), (after.T, points), batch_size=at_once)
+        return pairs.against_all(lambda pair: _exact(cloud, move, *pair), (after.T, points), cloud.log_weights.shape[0])
 
 
 @record

@@ -22,7 +22,7 @@ from motes.laws.law import Law
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import ESS, Policy
 from motes.resampling.schemes import Scheme, Systematic
-from motes.smoothers.interface import ask_density
+from motes.smoothers.interface import ask_backward_density
 from motes.smoothers.parents import ExactParents, Move, Parents
 
 
@@ -113,7 +113,7 @@ class PaRIS(Filter):
             MotesError: one is missing.
         """
         model = self._filter.prepare(model, u)
-        ask_density("PaRIS", model)
+        ask_backward_density("PaRIS", model)
         self.parents.check(model.dynamics)
         return model
 

@@ -10,15 +10,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, linalg, logspace, random
+from motes.core import checks, linalg, logspace, pairs, random
 from motes.core.record import record, replace, static
 from motes.filters.history import History
 from motes.laws.cloud import draw, pick
 from motes.laws.gaussian import Gaussian, log_normal
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.models.split import SplitModel, split
-from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws, at
-from motes.smoothers.parents import PAIRS_AT_ONCE
+from motes.models.state_space import at_step
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws
 
 
 @record
@@ -53,7 +53,7 @@ class RaoBlackwellizedSmoother(Smoother):
     def smooth(self, key: jax.Array, model: SplitModel, history: History, steps: Steps) -> Smoothed:
         """Draw trajectories of both parts backward."""
         clouds: MarginalCloud = history.law
-        last: MarginalCloud = at(clouds, -1)
+        last: MarginalCloud = at_step(clouds, -1)
         opening = random.step_key(key, steps.t[-1])
         chosen = last.picked(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
 
@@ -85,10 +85,9 @@ class RaoBlackwellizedSmoother(Smoother):
         def parent(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
             state, point = pair
             logits = cloud.log_weights + log_normal(state[:, None] - expected.center, expected.covariance)
-            return pick(logits, point)
+            return pick(jnp.exp(logspace.normalize(logits)[0]), point)
 
-        at_once = max(1, min(self.n, PAIRS_AT_ONCE // cloud.log_weights.shape[0]))
-        parents = jax.lax.map(parent, (after.T, points), batch_size=at_once)
+        parents = pairs.against_all(parent, (after.T, points), cloud.log_weights.shape[0])
         chosen = cloud.picked(parents)
         f, A, Q, prediction = (leaf[..., parents] if batched else leaf for leaf, batched in (
             (f, True), (A, A.ndim == 3), (Q, Q.ndim == 3), (expected.center, True)))  # fmt: skip

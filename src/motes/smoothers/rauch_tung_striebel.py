@@ -19,8 +19,8 @@ from motes.filters.history import History
 from motes.filters.interface import as_moment_model
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize, sigma_points
-from motes.models.state_space import StateSpaceModel
-from motes.smoothers.interface import Smoothed, Smoother, Steps, at
+from motes.models.state_space import StateSpaceModel, at_step
+from motes.smoothers.interface import Smoothed, Smoother, Steps
 
 
 @record
@@ -75,7 +75,7 @@ class RauchTungStriebelSmoother(Smoother):
 
         moments = (history.mean, history.cov)
         rows = *(leaf[:-1] for leaf in moments), *jax.tree.map(lambda leaf: leaf[1:], (steps.u, steps.t))
-        last = at(moments, -1)
+        last = at_step(moments, -1)
         _, earlier = jax.lax.scan(back, Gaussian(*last), rows, reverse=True)
         mean, cov = (jnp.concatenate([some, one[None]]) for some, one in zip(earlier, last, strict=True))
         return Smoothed(mean, cov)

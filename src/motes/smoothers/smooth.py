@@ -11,7 +11,7 @@ from motes.core.types import Inputs, KeyLike
 from motes.filters.history import History
 from motes.filters.run import checked_measurements
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, check_inputs, driven, step_inputs
+from motes.models.state_space import StateSpaceModel, at_step, check_inputs, driven
 from motes.smoothers.interface import Smoothed, Smoother, Steps
 
 
@@ -54,5 +54,5 @@ def smooth(
 def _smooth(key: jax.Array, smoother: Smoother, model: Any, history: History, ys: jax.Array | None, inputs: Inputs) -> Smoothed:
     model, inputs = driven(model, inputs, ys)
     count = history.info.ess.shape[0]
-    prepared = smoother.prepare(model, history, step_inputs(inputs, 0))
+    prepared = smoother.prepare(model, history, at_step(inputs, 0))
     return smoother.smooth(random.as_key(key), prepared, history, Steps(inputs, history.start + jnp.arange(count, dtype=jnp.int32), ys))

@@ -14,15 +14,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, logspace, random
+from motes.core import checks, logspace, pairs, random
 from motes.core.record import record, static
 from motes.filters.history import History
 from motes.filters.interface import as_particle_model
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel
-from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_density, ask_laws
-from motes.smoothers.parents import PAIRS_AT_ONCE, Move
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_backward_density, ask_laws
+from motes.smoothers.parents import Move
 
 
 @record
@@ -55,7 +55,7 @@ class TwoFilterSmoother(Smoother):
         """
         ask_laws("TwoFilterSmoother", history, Cloud, "Use RauchTungStriebelSmoother or RaoBlackwellizedSmoother.")
         model = as_particle_model("TwoFilterSmoother", model, transition_density=False)
-        ask_density("TwoFilterSmoother", model)
+        ask_backward_density("TwoFilterSmoother", model)
         return model
 
     def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
@@ -96,5 +96,4 @@ def _taken_in(model: StateSpaceModel, z: jax.Array, row: Steps) -> jax.Array:
 
 def _summed(log_prob: Callable[[jax.Array], jax.Array], log_weights: jax.Array, z: jax.Array) -> jax.Array:
     """Log of the weighted sum of densities, from each of the points z `(x, n)`."""
-    at_once = max(1, min(z.shape[-1], PAIRS_AT_ONCE // log_weights.shape[0]))
-    return jax.lax.map(lambda one: jax.nn.logsumexp(log_prob(one) + log_weights), z.T, batch_size=at_once)
+    return pairs.against_all(lambda one: jax.nn.logsumexp(log_prob(one) + log_weights), z.T, log_weights.shape[0])
