@@ -23,8 +23,6 @@ from motes.models.textbook import radar_tracking
 N, STEPS, TURNS = 2000, 60, 2
 TRANSCENDENTAL = 10
 LIMIT = 2.0
-REASON = """Gaussian sum: moments of each mixand are small products `(x, n) (n, x)`, one after the other, which the compiler hands to a
-library that is slow for such sizes, and draws of a mixand are mixed with a factor of its own."""
 COLUMNS = ("filter", "ns per particle and step", "operations", "time over that of its operations", f"above {LIMIT:g}")
 
 
@@ -85,7 +83,7 @@ def main():
     place = Path(__file__).parent / "FILTERS.md"
     table.save(place)
     head = f"# Every filter\n\nRadar model of six states, n = {N}, JAX engine. {words.strip()}\n\n{facts}"
-    place.write_text(f"{head}\n\n{place.read_text()}\n{REASON}\n")
+    place.write_text(f"{head}\n\n{place.read_text()}")
 
 
 if __name__ == "__main__":
