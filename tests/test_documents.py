@@ -43,6 +43,7 @@ def test_pages_are_what_the_methods_say_of_themselves():
 
 
 def test_every_public_name_is_documented():
+    prose = "".join(document.read_text() for document in DOCUMENTS)
     for name in mo.__all__:
-        value = getattr(mo, name)
-        assert getattr(value, "__doc__", None), name
+        assert getattr(getattr(mo, name), "__doc__", None), name
+        assert re.search(rf"\b{name}\b", prose), f"{name}: not in README.md or docs/"
