@@ -6,6 +6,8 @@ from .core.checks import CollapseError as CollapseError
 from .core.checks import FileError as FileError
 from .core.checks import MissingExtraError as MissingExtraError
 from .core.checks import MotesError as MotesError
+from .core.findings import Diagnosis as Diagnosis
+from .core.findings import Finding as Finding
 from .costs.calibrate import Calibration as Calibration
 from .costs.calibrate import calibrate as calibrate
 from .costs.complexity import Costs as Costs
@@ -20,8 +22,6 @@ from .diagnostics.consistency import chi_square_band as chi_square_band
 from .diagnostics.consistency import coverage as coverage
 from .diagnostics.consistency import nees as nees
 from .diagnostics.consistency import nis as nis
-from .diagnostics.diagnose import Diagnosis as Diagnosis
-from .diagnostics.diagnose import Finding as Finding
 from .diagnostics.diagnose import diagnose as diagnose
 from .diagnostics.sets import Gospa as Gospa
 from .diagnostics.sets import gospa as gospa
@@ -63,6 +63,7 @@ from .filters.square_root_kalman import SquareRootKalmanFilter as SquareRootKalm
 from .filters.stream import Stream as Stream
 from .filters.stream import stream as stream
 from .filters.unscented_kalman import UnscentedKalmanFilter as UnscentedKalmanFilter
+from .io.table import Table as Table
 from .laws.cloud import Cloud as Cloud
 from .laws.conditional import AdditiveGaussian as AdditiveGaussian
 from .laws.conditional import AdditiveNoise as AdditiveNoise
@@ -130,4 +131,3 @@ from .studies.run import study as study
 from .studies.search import Particles as Particles
 from .studies.search import particles_for_rmse as particles_for_rmse
 from .studies.search import particles_for_time as particles_for_time
-from .studies.tables import Table as Table

@@ -1,6 +1,7 @@
 """Checks of what the user gives: every refusal is one line that names the argument, what was expected, what was given, what to do."""
 
 import importlib
+import warnings
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -31,6 +32,15 @@ class CollapseError(MotesError):
 
 class MissingExtraError(MotesError, ImportError):
     """A feature needs a package that is not installed."""
+
+
+class MotesWarning(UserWarning):
+    """A result is there, but should not be trusted as it is."""
+
+
+def warn(text: str) -> None:
+    """Warn the caller of a public function, in one line."""
+    warnings.warn(str(MotesError(text)), MotesWarning, stacklevel=3)
 
 
 def refuse(argument: str, expected: str, given: object, hint: str = "", error: type[MotesError] = MotesError) -> NoReturn:

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from motes.core import checks
-from motes.core.record import record, static
+from motes.core.findings import Diagnosis, Finding
 from motes.diagnostics.consistency import chi_square_band, nees
 from motes.diagnostics.weights import TRUSTED, pareto_k, surviving
 from motes.filters.history import History
@@ -21,52 +21,6 @@ SCARCE = 0.02
 """Share of the particles below which a median effective sample size is called low."""
 LEVEL = 0.999
 """Probability of the bands for averages over the steps of a run."""
-
-
-@record
-class Finding:
-    """One thing that a run tells of itself.
-
-    Attributes:
-        name: "collapse", "lost", "surprise", "starvation", "few particles", "heavy weights", "degenerate paths", "invalid",
-            "overconfident" or "cautious".
-        text: what was seen, with numbers and steps.
-        advice: what to try.
-        serious: whether estimates are not to be trusted.
-    """
-
-    name: str = static()
-    text: str = static()
-    advice: str = static()
-    serious: bool = static()
-
-    def __str__(self) -> str:
-        """Print as one line."""
-        return f"{'warning' if self.serious else 'note'}, {self.name}: {self.text} {self.advice}"
-
-
-@record
-class Diagnosis:
-    """All findings of a run.
-
-    Attributes:
-        findings: the serious ones first.
-    """
-
-    findings: tuple[Finding, ...] = static()
-
-    @property
-    def trusted(self) -> bool:
-        """Whether nothing serious was found."""
-        return not any(finding.serious for finding in self.findings)
-
-    def __contains__(self, name: str) -> bool:
-        """Whether something of that name was found."""
-        return any(finding.name == name for finding in self.findings)
-
-    def __str__(self) -> str:
-        """Print one finding per line."""
-        return "\n".join(map(str, self.findings)) or "Nothing wrong was found."
 
 
 def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) -> Diagnosis:
@@ -91,8 +45,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
         found += _laws(history)
     if truth is not None:
         found.append(_consistency(history, truth, angles))
-    kept = [finding for finding in found if finding is not None]
-    return Diagnosis(tuple(sorted(kept, key=lambda finding: not finding.serious)))
+    return Diagnosis.of(found)
 
 
 def _collapse(history: History) -> Finding | None:

@@ -107,14 +107,14 @@ def canonical(model: Any, u: Any, y: Any = None) -> Any:
         return _with(model, {
             "dynamics": canonical_conditional(model.dynamics, x, u, x),
             "sensor": canonical_conditional(model.sensor, x, u, y),
-            "noise_cross_cov": _canonical(model.noise_cross_cov, (x, u, t)),
+            "noise_cross_cov": canonical_function(model.noise_cross_cov, (x, u, t)),
         })
     if isinstance(model, MixedLinearModel):
-        args = (jax.ShapeDtypeStruct((model.sizes[0],), model.dtype), u, t)
-        return _with(model, {name: _canonical(getattr(model, name), args) for name in ("particle", "kalman", "sensor", "cross_cov")})
+        args, names = (jax.ShapeDtypeStruct((model.sizes[0],), model.dtype), u, t), ("particle", "kalman", "sensor", "cross_cov")
+        return _with(model, {name: canonical_function(getattr(model, name), args) for name in names})
     if isinstance(model, JumpMarkovModel):
         models = tuple(canonical(part, u, y) for part in model.models)
-        return _with(model, {"transition": _canonical(model.transition, (u, t)), "models": models})
+        return _with(model, {"transition": canonical_function(model.transition, (u, t)), "models": models})
     return model
 
 
@@ -133,11 +133,11 @@ def canonical_conditional(part: Conditional, x: Any, u: Any, value: Any) -> Cond
         chain = isinstance(part, SwitchingDynamics)
         value = _without_mode(value) if chain else value
         known = {"parts": tuple(canonical_conditional(each, rest, u, value) for each in part.parts)}
-        return _with(part, known | ({"transition": _canonical(part.transition, (u, t))} if chain else {}))
+        return _with(part, known | ({"transition": canonical_function(part.transition, (u, t))} if chain else {}))
     if type(part) is Custom:
-        density = part.density if value is None else _canonical(part.density, (value, x, u, t))
-        return _with(part, {"sampler": _canonical(part.sampler, (_key_shape(), x, u, t)), "density": density})
-    return _with(part, {name: _canonical(getattr(part, name), (x, u, t)) for name in _FUNCTIONS.get(type(part), ())})
+        density = part.density if value is None else canonical_function(part.density, (value, x, u, t))
+        return _with(part, {"sampler": canonical_function(part.sampler, (_key_shape(), x, u, t)), "density": density})
+    return _with(part, {name: canonical_function(getattr(part, name), (x, u, t)) for name in _FUNCTIONS.get(type(part), ())})
 
 
 def _without_mode(state: Any) -> jax.ShapeDtypeStruct:
@@ -168,7 +168,7 @@ def _with(record: Any, wanted: dict[str, Any]) -> Any:
     return replace(record, **changed) if changed else record
 
 
-def _canonical(function: Any, args: tuple[Any, ...]) -> Any:
+def canonical_function(function: Any, args: tuple[Any, ...]) -> Any:
     """Wrap a function, unless it is none (an array, a record, None) or cannot be compared."""
     if isinstance(function, Program) or not is_function(function):
         return function

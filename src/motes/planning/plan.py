@@ -19,13 +19,13 @@ from motes.core.types import Inputs
 from motes.costs.calibrate import Calibration, calibrate
 from motes.costs.measure import seconds_per_step
 from motes.filters.interface import Filter
+from motes.io.table import Table
 from motes.models.simulate import simulate
 from motes.planning.candidates import candidates, given_candidates
 from motes.planning.needed import needed
 from motes.planning.sizes import LONG, Clock, Sized
 from motes.planning.trials import FIRST_RUNS, Trial, trials
 from motes.studies.experiment import Experiment
-from motes.studies.tables import Table
 
 COLUMNS = ("filter", "n", "ms/step", "by flops", "RMSE", "s.e.", "of bound", "lost", "runs")
 SPAN, LONGEST = 0.04, 400

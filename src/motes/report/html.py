@@ -19,8 +19,8 @@ import numpy as np
 
 from motes.core import checks
 from motes.io.archive import whole_file
+from motes.io.table import shown
 from motes.studies.result import StudyResult
-from motes.studies.tables import shown
 
 WIDTH, ROW, LEFT, RIGHT = 900, 34, 150, 20
 _UNSAFE = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}

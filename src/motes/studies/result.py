@@ -9,10 +9,11 @@ import numpy as np
 from motes.core import checks
 from motes.core.record import record, static
 from motes.io import archive
+from motes.io.table import Table
 from motes.laws.conditional import wrap
 from motes.studies.experiment import Blocks, Experiment, places
 from motes.studies.store import Memory, Store
-from motes.studies.tables import Table, study_table
+from motes.studies.tables import study_table
 from motes.studies.work import TRUTH
 
 KEPT = ("estimates", "nees", "ess", "log_likelihood", "collapsed")

@@ -26,11 +26,11 @@ from motes.filters.kernel import KalmanParticleKernelFilter
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.filters.regularized import RegularizedParticleFilter
 from motes.filters.run import run
+from motes.io.table import Table
 from motes.laws.conditional import Conditional
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.kernels import Regularization
 from motes.resampling.splitting import SplitKernels
-from motes.studies.tables import Table
 
 IN_A_ROW, WITHIN, BOUNDS = 5, 0.99, 6.0
 LITTLE = 1e-6

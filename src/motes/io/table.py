@@ -1,0 +1,127 @@
+"""Tables of results, for people and for files."""
+
+import csv
+import io
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from motes.core import checks
+from motes.core.record import record, static
+from motes.io.archive import whole_file
+
+Cell = str | int | float | None
+
+
+@record
+class Table:
+    """A table of texts and numbers; None is what cannot be had, and shows as a dash.
+
+    Attributes:
+        columns: names.
+        rows: cells.
+    """
+
+    columns: tuple[str, ...] = static()
+    rows: tuple[tuple[Cell, ...], ...] = static()
+
+    def column(self, name: str) -> list[Cell]:
+        """Return the cells of a column.
+
+        Raises:
+            MotesError: there is no such column.
+        """
+        checks.option("table column", name, self.columns)
+        return [row[self.columns.index(name)] for row in self.rows]
+
+    def __str__(self) -> str:
+        """Draw the table with characters."""
+        from rich.console import Console
+
+        console = Console(file=io.StringIO(), width=200)
+        console.print(self)
+        return console.file.getvalue().rstrip()  # type: ignore[attr-defined]
+
+    def __rich__(self) -> Any:
+        """Give rich's table."""
+        from rich import box
+        from rich.table import Table as Drawn
+        from rich.text import Text
+
+        drawn = Drawn(box=box.SIMPLE_HEAD)
+        for place, name in enumerate(self.columns):
+            drawn.add_column(Text(name), justify="right" if _is_number(self.rows, place) else "left", no_wrap=True)
+        for row in self.rows:
+            drawn.add_row(*(Text(shown(cell)) for cell in row))
+        return drawn
+
+    def _repr_markdown_(self) -> str:
+        return self.to_markdown()
+
+    def to_markdown(self) -> str:
+        """Return the table in Markdown."""
+        rule = ["---:" if _is_number(self.rows, place) else "---" for place in range(len(self.columns))]
+        lines = [map(_markdown, self.columns), rule, *(map(_markdown, map(shown, row)) for row in self.rows)]
+        return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+    def to_latex(self) -> str:
+        """Return a LaTeX tabular environment (with the rules of the package booktabs)."""
+        sides = "".join("r" if _is_number(self.rows, place) else "l" for place in range(len(self.columns)))
+        lines = [" & ".join(map(_latex, map(shown, row))) + r" \\" for row in self.rows]
+        head = " & ".join(map(_latex, self.columns)) + r" \\"
+        return "\n".join([rf"\begin{{tabular}}{{{sides}}}", r"\toprule", head, r"\midrule", *lines, r"\bottomrule", r"\end{tabular}", ""])
+
+    def to_csv(self) -> str:
+        """Return the table as CSV with all digits; what cannot be had is an empty cell."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(map(_csv, self.columns))
+        writer.writerows([_csv(cell) for cell in row] for row in self.rows)
+        return text.getvalue()
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table as its name ends: .csv, .md or .tex, whole or not at all.
+
+        Raises:
+            FileError: the ending is another, or the file cannot be written.
+        """
+        path = Path(path)
+        forms: dict[str, Callable[[], str]] = {".csv": self.to_csv, ".md": self.to_markdown, ".tex": self.to_latex}
+        if path.suffix not in forms:
+            checks.refuse(str(path), "a name that ends in .csv, .md or .tex", path.suffix or "no ending", error=checks.FileError)
+        with whole_file(path) as file:
+            file.write(forms[path.suffix]().encode())
+        return path
+
+
+def shown(cell: Cell) -> str:
+    """Return a cell as people read it: numbers with four digits, a dash for what cannot be had."""
+    if isinstance(cell, str):
+        return cell
+    if cell is None or math.isnan(cell):
+        return "-"
+    return str(cell) if isinstance(cell, int) or math.isinf(cell) else f"{cell:#.4g}".rstrip(".")
+
+
+def _is_number(rows: tuple[tuple[Cell, ...], ...], place: int) -> bool:
+    return not any(isinstance(row[place], str) for row in rows)
+
+
+def _markdown(text: str) -> str:
+    return "".join("&lt;" if c == "<" else "&amp;" if c == "&" else f"\\{c}" if c in r"\`*_{}[]|~" else c for c in text)
+
+
+_LATEX = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+                                            "<": r"\textless{}", ">": r"\textgreater{}"}
+
+
+def _latex(text: str) -> str:
+    return "".join(_LATEX.get(c, c) for c in text)
+
+
+def _csv(cell: Cell) -> Cell:
+    if isinstance(cell, str):
+        # spreadsheets run what begins so
+        return f"'{cell}" if cell[:1] in ("=", "+", "-", "@") else cell
+    return None if cell is None or math.isnan(cell) else cell
