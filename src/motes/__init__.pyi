@@ -1,4 +1,5 @@
 from . import filters as filters
+from . import mcmc as mcmc
 from .bounds.bound import Bound as Bound
 from .bounds.kalman_at_truth import kalman_at_truth as kalman_at_truth
 from .bounds.posterior_cramer_rao import posterior_cramer_rao as posterior_cramer_rao
@@ -78,6 +79,8 @@ from .laws.mode_mixture import ModeMixture as ModeMixture
 from .laws.noise import Laplace as Laplace
 from .laws.noise import StudentT as StudentT
 from .laws.noise import Uniform as Uniform
+from .mcmc.chains import Chains as Chains
+from .mcmc.sample import sample as sample
 from .models.jump_markov import JumpMarkovModel as JumpMarkovModel
 from .models.mixed_linear import MixedLinearModel as MixedLinearModel
 from .models.proposals import ExtendedKalmanProposal as ExtendedKalmanProposal

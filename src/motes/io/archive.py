@@ -83,9 +83,13 @@ def _force(folder: Path) -> None:
         os.close(opened)
 
 
+def path_names(path: tuple[Any, ...]) -> list[str]:
+    """Return the names along JAX's path to a leaf of a tree."""
+    return [str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key)))) for key in path]
+
+
 def _name(path: tuple[Any, ...]) -> str:
-    parts = [str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key)))) for key in path]
-    return "/".join(parts)
+    return "/".join(path_names(path))
 
 
 def write_tree(path: Path, tree: Any, texts: dict[str, Any], kind: str) -> Path:

@@ -1,0 +1,125 @@
+"""The record of chains."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core import checks
+from motes.core.findings import Diagnosis
+from motes.core.record import record, static
+from motes.io import archive
+from motes.io.table import Table
+from motes.mcmc import judgement
+from motes.mcmc.interface import Info, Kernel, LogDensity, State
+
+
+@record
+class Chains:
+    """What `mo.sample` gives.
+
+    Attributes:
+        positions: tree of arrays with the axes chain and draw first.
+        log_density: of each, `(chain, draw)`.
+        info: what the moves did while these draws were made, each `(chain, move)`.
+        last: what is needed to continue, chain axis first.
+        steps: made so far, burn-in included.
+        moves: names of the kernel's moves.
+        label: the kernel, as it prints.
+    """
+
+    positions: Any
+    log_density: jax.Array
+    info: Info
+    last: State
+    steps: jax.Array
+    moves: tuple[str, ...] = static()
+    label: str = static()
+
+    @property
+    def acceptance(self) -> dict[str, float]:
+        """Share of accepted proposals of each move, over all chains; NaN for moves that were never tried."""
+        tried, accepted = (np.asarray(part, np.float64).sum(axis=0) for part in (self.info.tried, self.info.accepted))
+        return dict(zip(self.moves, np.divide(accepted, tried, out=np.full_like(tried, np.nan), where=tried > 0).tolist(), strict=True))
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the draws `(chain, draw)` of each number of the position, by name."""
+        found = {}
+        for path, leaf in jax.tree_util.tree_flatten_with_path(self.positions)[0]:
+            name, values = ".".join(archive.path_names(path)) or "x", np.asarray(leaf)
+            for index in np.ndindex(values.shape[2:]):
+                found[name + (f"[{','.join(map(str, index))}]" if index else "")] = values[(slice(None), slice(None), *index)]
+        return found
+
+    def summary(self) -> Table:
+        """Return a table of mean, standard deviation, quantiles, standard error, effective sizes and R-hat of each number."""
+        return judgement.summary(self.columns())
+
+    def diagnose(self) -> Diagnosis:
+        """Say in words whether to trust the chains: see `mcmc.judgement`."""
+        return judgement.judged(self)
+
+    def __str__(self) -> str:
+        """Print the summary, the acceptance of each move and the verdict."""
+        rates = ", ".join(f"{move} {'-' if np.isnan(rate) else f'{rate:.0%}'}" for move, rate in self.acceptance.items())
+        return f"{self.summary()}\naccepted: {rates}\n{self.diagnose()}"
+
+    def to_datatree(self) -> Any:
+        """Return an `xarray.DataTree` as ArviZ wants it: groups `posterior` and `sample_stats`, dimensions chain and draw (extra `results`)."""
+        posterior = {}
+        for path, leaf in jax.tree_util.tree_flatten_with_path(self.positions)[0]:
+            posterior["_".join(archive.path_names(path)) or "x"] = np.asarray(leaf)
+        groups = {"posterior": posterior, "sample_stats": {"lp": np.asarray(self.log_density)}}
+        return checks.need("arviz_base", "results").from_dict(groups, attrs={"/": archive.provenance() | {"kernel": self.label}})
+
+    def save(self, path: str | Path) -> Path:
+        """Write to a `.npz` file all that is needed to look at the chains and to continue them.
+
+        Raises:
+            FileError: the ending is another, or the file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix != ".npz":
+            checks.refuse(str(path), "a name that ends in .npz", path.suffix or "no ending", error=checks.FileError)
+        tree = {"positions": self.positions, "log_density": self.log_density, "info": self.info, "last": self.last, "steps": self.steps}
+        return archive.write_tree(path, tree, {"moves": list(self.moves), "kernel": self.label}, kind="chains")
+
+    @classmethod
+    def load(cls, path: str | Path, kernel: Kernel | None = None, log_density: LogDensity | None = None, position: Any = None) -> "Chains":
+        """Read chains back.
+
+        Args:
+            path: of the file.
+            kernel: with which they were made; needed, as the next two are, to continue them.
+            log_density: likewise.
+            position: any, for its form; without it positions come back as an array or nested dictionaries of arrays.
+
+        Raises:
+            FileError: the file holds no chains, is damaged, or does not fit the arguments.
+        """
+        path = Path(path)
+        tree, texts = archive.read_tree(path, kind="chains")
+        counts = {name: jnp.asarray(tree["info"][name]) for name in ("tried", "accepted", "invalid")}
+        positions, last = tree["positions"], tree["last"]
+        if kernel is not None and log_density is not None:
+            shape = tree["log_density"].shape
+            position = jax.tree.map(lambda leaf: leaf[0, 0], positions) if position is None else position
+            position = jax.tree.map(jnp.asarray, position)
+            one = jax.eval_shape(lambda position: kernel.init(jax.random.key(0), log_density, position), position)
+            like = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((shape[0], *leaf.shape), leaf.dtype), one)
+            last = archive.fill(path, {"last": like}, tree)["last"]
+            every = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*shape, *leaf.shape), leaf.dtype), jax.eval_shape(lambda p: p, position))
+            positions = archive.fill(path, {"positions": every}, tree)["positions"]
+        return cls(positions, jnp.asarray(tree["log_density"]), Info(**counts), last, tree["steps"], tuple(texts["moves"]), texts["kernel"])
+
+
+def joined(pieces: list[Chains]) -> Chains:
+    """Put consecutive draws of the same chains together."""
+    if not pieces:
+        checks.refuse("pieces", "at least one Chains", "none")
+    whole = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *[(piece.positions, piece.log_density) for piece in pieces])
+    info = jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *[piece.info for piece in pieces])
+    final = pieces[-1]
+    return Chains(*whole, info, final.last, final.steps, final.moves, final.label)

@@ -1,0 +1,205 @@
+"""Kernels made of kernels: cycles, mixtures, repetitions, and kernels for a part of the position (Tierney 1994)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, random
+from motes.core.record import record, replace, static
+from motes.laws.cloud import pick
+from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, put, take
+
+
+class Compound(Kernel):
+    """What cycles and mixtures share: several kernels, each with a memory of its own."""
+
+    kernels: tuple[Kernel, ...]
+
+    @property
+    def moves(self) -> tuple[str, ...]:
+        """Those of all kernels."""
+        return tuple(move for kernel in self.kernels for move in kernel.moves)
+
+    def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
+        """Check each kernel."""
+        for kernel in self.kernels:
+            kernel.check(key, log_density, position)
+
+    def remembered(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the memories of all."""
+        return tuple(kernel.remembered(log_density, position) for kernel in self.kernels)
+
+    def one(self, place: int, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+        """Make a step of one kernel."""
+        inner = replace(state, memory=state.memory[place])
+        after, info = self.kernels[place].step(random.step_key(key, place), log_density, inner, t)
+        memory = (*state.memory[:place], after.memory, *state.memory[place + 1 :])
+        return replace(after, memory=memory), info
+
+
+@record
+class Cycle(Compound):
+    """Several kernels, one after the other in every step.
+
+    Attributes:
+        kernels: in their order.
+    """
+
+    kernels: tuple[Kernel, ...]
+
+    def __init__(self, kernels: Sequence[Kernel]):
+        """Check the kernels.
+
+        Raises:
+            MotesError: there is none, or one is no kernel.
+        """
+        object.__setattr__(self, "kernels", _kernels("Cycle", kernels))
+
+    def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+        """Make a step of each."""
+        infos = []
+        for place in range(len(self.kernels)):
+            state, info = self.one(place, key, log_density, state, t)
+            infos.append(info)
+        return state, Info.joined(infos)
+
+
+@record
+class Mix(Compound):
+    """One of several kernels in every step, drawn with fixed probabilities.
+
+    Attributes:
+        kernels: what there is to draw from.
+        weights: their probabilities up to a factor; equal if not given.
+    """
+
+    kernels: tuple[Kernel, ...]
+    weights: tuple[float, ...] = static()
+
+    def __init__(self, kernels: Sequence[Kernel], weights: Sequence[float] | None = None):
+        """Check kernels and weights.
+
+        Raises:
+            MotesError: there is none, one is no kernel, or weights do not fit.
+        """
+        object.__setattr__(self, "kernels", _kernels("Mix", kernels))
+        chosen = tuple(float(weight) for weight in (weights if weights is not None else [1.0] * len(self.kernels)))
+        if len(chosen) != len(self.kernels) or min(chosen) <= 0:
+            checks.refuse("Mix weights", f"{len(self.kernels)} positive numbers, one per kernel", chosen)
+        object.__setattr__(self, "weights", chosen)
+
+    def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+        """Draw a kernel and make its step."""
+        sizes = [len(kernel.moves) for kernel in self.kernels]
+
+        def branch(place: int) -> Any:
+            def stepped(state: State) -> tuple[State, Info]:
+                after, info = self.one(place, key, log_density, state, t)
+                return after, Info.joined([*map(Info.none, sizes[:place]), info, *map(Info.none, sizes[place + 1 :])])
+
+            return stepped
+
+        chosen = pick(jnp.asarray(self.weights), random.uniform(random.child(key, random.RESAMPLE), (), jnp.float32))
+        return jax.lax.switch(chosen, [branch(place) for place in range(len(sizes))], state)
+
+
+@record
+class Block(Kernel):
+    """A kernel for a part of the position, all else held fixed; several in a `Cycle` are Metropolis within Gibbs.
+
+    Attributes:
+        part: of a dictionary a name or a tuple of names, of a record or named tuple a name, of an array an index or several.
+        kernel: for the part.
+    """
+
+    part: Any = static()
+    kernel: Kernel
+
+    @property
+    def moves(self) -> tuple[str, ...]:
+        """Those of the kernel, with the part's name."""
+        return tuple(f"{self.part}: {move}" for move in self.kernel.moves)
+
+    def _given(self, log_density: LogDensity, position: Position) -> LogDensity:
+        return lambda value: log_density(put(position, self.part, value))
+
+    def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
+        """Ask for a part that is there."""
+        try:
+            inner = take(position, self.part)
+        except (KeyError, IndexError, TypeError, AttributeError):
+            there = list(position) if isinstance(position, dict) else jax.tree.map(jnp.shape, position)
+            checks.refuse("Block part", f"a part of the position ({there})", repr(self.part))
+        self.kernel.check(key, self._given(log_density, position), inner)
+
+    def remembered(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the memory of the kernel."""
+        return self.kernel.remembered(self._given(log_density, position), take(position, self.part))
+
+    def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+        """Move the part."""
+        inner = replace(state, position=take(state.position, self.part))
+        after, info = self.kernel.step(key, self._given(log_density, state.position), inner, t)
+        return replace(after, position=put(state.position, self.part, after.position)), info
+
+
+@record
+class Repeat(Kernel):
+    """Several steps of a kernel as one: thinning.
+
+    Attributes:
+        kernel: whose steps they are.
+        times: how many.
+    """
+
+    kernel: Kernel
+    times: int = static()
+
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: times is no positive whole number, or kernel no kernel.
+        """
+        _kernels("Repeat", (self.kernel,))
+        checks.positive_integer("Repeat times", self.times)
+
+    @property
+    def moves(self) -> tuple[str, ...]:
+        """Those of the kernel."""
+        return self.kernel.moves
+
+    def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
+        """Check the kernel."""
+        self.kernel.check(key, log_density, position)
+
+    def remembered(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the memory of the kernel."""
+        return self.kernel.remembered(log_density, position)
+
+    def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+        """Make all the steps."""
+
+        def again(held: tuple[State, Info], k: jax.Array) -> tuple[tuple[State, Info], None]:
+            state, info = self.kernel.step(random.step_key(key, k), log_density, held[0], t * self.times + k)
+            return (state, jax.tree.map(jnp.add, held[1], info)), None
+
+        return jax.lax.scan(again, (state, Info.none(len(self.moves))), jnp.arange(self.times, dtype=jnp.int32))[0]
+
+
+def within_gibbs(kernels: Mapping[Any, Kernel]) -> Cycle:
+    """Return the cycle of a kernel for each part of a position: Metropolis within Gibbs."""
+    if not isinstance(kernels, Mapping):
+        checks.refuse("within_gibbs kernels", "a dictionary from parts to kernels", type(kernels).__name__)
+    return Cycle([Block(part, kernel) for part, kernel in kernels.items()])
+
+
+def _kernels(asked_by: str, kernels: Sequence[Kernel]) -> tuple[Kernel, ...]:
+    for kernel in kernels:
+        if not isinstance(kernel, Kernel):
+            checks.refuse(f"{asked_by} kernel", "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)", type(kernel).__name__)
+    if not kernels:
+        checks.refuse(f"{asked_by} kernels", "at least one kernel", "none")
+    return tuple(kernels)

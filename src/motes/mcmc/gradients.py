@@ -1,0 +1,153 @@
+"""Kernels that follow the gradient of the log density: Langevin and Hamiltonian steps, taken from the library blackjax (extra `mcmc`).
+
+Roberts, Tweedie 1996 (MALA); Duane et al. 1987 (HMC); Hoffman, Gelman 2014 (NUTS). Steps are made in coordinates z about the present
+position, x + L z, in which a density of covariance L L' is round.
+"""
+
+from abc import abstractmethod
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from motes.core import checks
+from motes.core.record import record, replace, static
+from motes.mcmc.interface import Info, LogDensity, State, TunableKernel
+
+
+class Moved(NamedTuple):
+    """Where a step led: z `(x,)`, the log density there, the acceptance probability and whether the trajectory left all bounds."""
+
+    z: jax.Array
+    log_density: jax.Array
+    accepted: jax.Array
+    divergent: jax.Array | bool
+
+
+@record
+class GradientKernel(TunableKernel):
+    """A kernel that needs the gradient; wrap it in `Adaptive` rather than choosing its scale.
+
+    Attributes:
+        scale: of a step, `()`.
+        factor: L `(x, x)` of the density's covariance L L', or None for the unit matrix.
+    """
+
+    scale: jax.Array | float = 0.1
+    factor: jax.Array | None = None
+
+    def __post_init__(self) -> None:
+        """Check the scale.
+
+        Raises:
+            MotesError: it is not positive.
+        """
+        checks.above_zero(f"{type(self).__name__} scale", self.scale)
+
+    def check(self, key: jax.Array, log_density: LogDensity, position: Any) -> None:
+        """Ask for blackjax and for positions that have gradients."""
+        checks.need("blackjax", "mcmc")
+        for leaf in jax.tree.leaves(position):
+            if not jnp.issubdtype(leaf.dtype, jnp.floating):
+                checks.refuse(f"{type(self).__name__} position", "real numbers throughout (gradients are taken)", f"dtype {leaf.dtype}",
+                              "Move whole numbers by another kernel, in a Cycle of Blocks.")
+
+    def first_scale(self, size: int) -> float:
+        """1 / x^(1/4) (Beskos et al. 2013)."""
+        return size**-0.25
+
+    def tuned(self, scale: jax.Array, factor: jax.Array) -> "GradientKernel":
+        """Return the kernel for densities of covariance L L'."""
+        return replace(self, scale=scale, factor=factor)
+
+    @abstractmethod
+    def moved(self, key: jax.Array, log_density: LogDensity, size: int, dtype: Any) -> Moved:
+        """Make a step from z = 0."""
+
+    def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+        """Make one step."""
+        x, rebuild = ravel_pytree(state.position)
+
+        def there(z: jax.Array) -> jax.Array:
+            return x + (z if self.factor is None else jnp.matmul(self.factor.astype(x.dtype), z, precision=jax.lax.Precision.HIGHEST))
+
+        def judged(z: jax.Array) -> jax.Array:
+            value = log_density(rebuild(there(z)))
+            return jnp.where(jnp.isnan(value) | (value == jnp.inf), -jnp.inf, value)
+
+        found = self.moved(key, judged, x.shape[0], x.dtype)
+        # rounding in x + 0 must not move a chain that stays
+        stays = jnp.all(found.z == 0)
+        position = jax.tree.map(lambda new, old: jnp.where(stays, old, new), rebuild(there(found.z)), state.position)
+        after = State(position, jnp.where(stays, state.log_density, found.log_density))
+        return after, Info.of_one(found.accepted, jnp.asarray(found.divergent))
+
+
+@record
+class MALA(GradientKernel):
+    """Metropolis-adjusted Langevin steps."""
+
+    def target(self, size: int) -> float:
+        """0.574 (Roberts, Rosenthal 1998)."""
+        return 0.574
+
+    def moved(self, key: jax.Array, log_density: LogDensity, size: int, dtype: Any) -> Moved:
+        """Make a Langevin step."""
+        from blackjax.mcmc import mala
+
+        begun = mala.init(jnp.zeros(size, dtype), log_density)
+        after, info = mala.build_kernel()(key, begun, log_density, jnp.asarray(self.scale, dtype) ** 2 / 2)
+        return Moved(after.position, after.logdensity, info.acceptance_rate, jnp.isnan(info.acceptance_rate))
+
+
+@record
+class HMC(GradientKernel):
+    """Hamiltonian trajectories of a fixed number of leaps.
+
+    Attributes:
+        scale: of a leap, `()`.
+        factor: see `GradientKernel`.
+        leaps: in a trajectory.
+    """
+
+    leaps: int = static(default=10)
+
+    def target(self, size: int) -> float:
+        """0.65 (Beskos et al. 2013), a little more to be safe: 0.75."""
+        return 0.75
+
+    def moved(self, key: jax.Array, log_density: LogDensity, size: int, dtype: Any) -> Moved:
+        """Follow a trajectory."""
+        from blackjax.mcmc import hmc
+
+        begun = hmc.init(jnp.zeros(size, dtype), log_density)
+        ones = jnp.ones(size, dtype)
+        after, info = hmc.build_kernel()(key, begun, log_density, jnp.asarray(self.scale, dtype), ones, self.leaps)
+        return Moved(after.position, after.logdensity, info.acceptance_rate, info.is_divergent)
+
+
+@record
+class NUTS(GradientKernel):
+    """Hamiltonian trajectories that end where they turn back: the no-U-turn sampler.
+
+    Attributes:
+        scale: of a leap, `()`.
+        factor: see `GradientKernel`.
+        doublings: of a trajectory, at most.
+    """
+
+    doublings: int = static(default=10)
+
+    def target(self, size: int) -> float:
+        """0.8 (Hoffman, Gelman 2014)."""
+        return 0.8
+
+    def moved(self, key: jax.Array, log_density: LogDensity, size: int, dtype: Any) -> Moved:
+        """Follow a trajectory both ways."""
+        from blackjax.mcmc import nuts
+
+        begun = nuts.init(jnp.zeros(size, dtype), log_density)
+        ones = jnp.ones(size, dtype)
+        after, info = nuts.build_kernel()(key, begun, log_density, jnp.asarray(self.scale, dtype), ones, self.doublings)
+        return Moved(after.position, after.logdensity, info.acceptance_rate, info.is_divergent)

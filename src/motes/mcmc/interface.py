@@ -1,0 +1,143 @@
+"""The contract of Markov chain kernels: one step of a chain that leaves a density as it is (paper 004, section 2.1).
+
+A position is a tree of arrays: one array, or a dictionary of named ones. A log density is a function of a position, known up to a
+constant. The density is an argument, never a field: a kernel is a frozen record of its own knobs.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import random
+from motes.core.record import record, replace
+
+Position = Any
+LogDensity = Callable[[Any], jax.Array]
+
+
+@record
+class State:
+    """What the next step of a chain needs.
+
+    Attributes:
+        position: tree of arrays.
+        log_density: of the position, `()`.
+        memory: what the kernel keeps for itself: what it learns, or would have to work out again.
+    """
+
+    position: Position
+    log_density: jax.Array
+    memory: Any = ()
+
+
+@record
+class Info:
+    """What the moves of a kernel did in a step, or in many: each `(m,)`.
+
+    Attributes:
+        tried: how often each move was tried.
+        accepted: sum of the probabilities with which they were accepted.
+        invalid: how often the density of a proposed position was NaN or plus infinity, or a trajectory left all bounds; never accepted.
+    """
+
+    tried: jax.Array
+    accepted: jax.Array
+    invalid: jax.Array
+
+    @classmethod
+    def of_one(cls, accepted: Any, invalid: Any = False) -> "Info":
+        """Return the record of a kernel with a single move."""
+        return cls(jnp.ones(1), jnp.reshape(jnp.asarray(accepted, jnp.result_type(float)), 1), jnp.reshape(invalid, 1).astype(jnp.int32))
+
+    @classmethod
+    def none(cls, moves: int) -> "Info":
+        """Return the record of moves that were not tried."""
+        return cls(jnp.zeros(moves), jnp.zeros(moves), jnp.zeros(moves, jnp.int32))
+
+    @classmethod
+    def joined(cls, parts: list["Info"]) -> "Info":
+        """Put the records of several kernels side by side."""
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+
+
+class Kernel(ABC):
+    """A step of a Markov chain. Subclasses are records; methods are pure and work under jit and vmap."""
+
+    @property
+    def moves(self) -> tuple[str, ...]:
+        """Names of the moves, in the order of `Info`."""
+        return (type(self).__name__,)
+
+    def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:  # noqa: B027 (most have nothing to check)
+        """Refuse what cannot work for this density, before anything is compiled.
+
+        Args:
+            key: for trials.
+            log_density: of a position.
+            position: where a chain starts.
+
+        Raises:
+            MotesError: naming what is wrong.
+        """
+
+    def remembered(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the memory of a chain that starts at a position."""
+        return ()
+
+    def init(self, key: jax.Array, log_density: LogDensity, position: Position) -> State:
+        """Return the state of a chain that starts at a position."""
+        return State(position, jnp.asarray(log_density(position)), self.remembered(log_density, position))
+
+    @abstractmethod
+    def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+        """Make one step.
+
+        Args:
+            key: of this step.
+            log_density: of a position.
+            state: of the chain.
+            t: number of the step, the same for all chains.
+        """
+
+
+class TunableKernel(Kernel):
+    """A kernel whose steps have a scale and a shape that `Adaptive` can learn."""
+
+    @abstractmethod
+    def target(self, size: int) -> float:
+        """Acceptance probability that serves best in so many dimensions."""
+
+    @abstractmethod
+    def first_scale(self, size: int) -> float:
+        """Scale that serves best for a standard normal density in so many dimensions."""
+
+    @abstractmethod
+    def tuned(self, scale: jax.Array, factor: jax.Array) -> "TunableKernel":
+        """Return the kernel with a scale `()` for densities of covariance L L', L `(x, x)` lower."""
+
+
+def settle(key: jax.Array, state: State, proposed: State, log_ratio: jax.Array) -> tuple[State, Info]:
+    """Go to the proposed state with probability min(1, exp(log_ratio)), else stay (paper 004, equations 5 and 8)."""
+    invalid = jnp.isnan(log_ratio) | (log_ratio == jnp.inf)
+    chance = jnp.where(invalid, 0, jnp.exp(jnp.minimum(log_ratio, 0)))
+    taken = random.uniform(key, (), chance.dtype) < chance
+    return jax.tree.map(lambda new, old: jnp.where(taken, new, old), proposed, state), Info.of_one(chance, invalid)
+
+
+def take(position: Position, part: Any) -> Any:
+    """Return a part of a position: of a dictionary by name or names, of a record or named tuple by name, of an array by index."""
+    if isinstance(position, dict):
+        return {name: position[name] for name in part} if isinstance(part, tuple) else position[part]
+    return getattr(position, part) if isinstance(part, str) else position[jnp.asarray(part)]
+
+
+def put(position: Position, part: Any, value: Any) -> Position:
+    """Return the position with a part replaced; see `take`."""
+    if isinstance(position, dict):
+        return {**position, **(value if isinstance(part, tuple) else {part: value})}
+    if isinstance(part, str):
+        return position._replace(**{part: value}) if hasattr(position, "_replace") else replace(position, **{part: value})
+    return position.at[jnp.asarray(part)].set(value)

@@ -1,0 +1,77 @@
+"""Multiple-try Metropolis (Liu, Liang, Wong 2000; named in paper 004, section 3.2).
+
+1. Draw k points y_j from T(x, .); weigh them by w(y, x) = p(y) T(y, x) lambda(y, x) with lambda symmetric; pick y in proportion.
+2. Draw k - 1 reference points from T(y, .), and let x be the k-th.
+3. Go to y with probability min(1, sum_j w(y_j, x) / sum_j w(x*_j, y)).
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from motes.core import checks, random
+from motes.core.record import record, static
+from motes.laws.cloud import draw
+from motes.laws.conditional import Conditional
+from motes.mcmc.interface import Info, Kernel, LogDensity, State, settle
+
+WEIGHTS = {"importance": (0.0, -1.0), "plain": (1.0, 0.0)}
+"""Powers of T(y, x) and T(x, y) in the weight: lambda is 1 / (T(x, y) T(y, x)), or 1."""
+
+
+@record
+class MultipleTry(Kernel):
+    """The best of several proposals; k = 1 is Metropolis-Hastings, to the same numbers.
+
+    Attributes:
+        proposal: conditional of a new position given the old one, both as one vector `(x,)`; its functions get None for u.
+        tries: k.
+        weight: "importance", w = p(y) / T(x, y), or "plain", w = p(y) T(y, x).
+    """
+
+    proposal: Conditional
+    tries: int = static()
+    weight: str = static(default="importance")
+
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: naming the one that cannot be used.
+        """
+        if not isinstance(self.proposal, Conditional):
+            checks.refuse("MultipleTry proposal", "a conditional such as mo.AdditiveGaussian(f, Q)", type(self.proposal).__name__)
+        checks.positive_integer("MultipleTry tries", self.tries)
+        checks.option("MultipleTry weight", self.weight, tuple(WEIGHTS))
+
+    def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+        """Make one step."""
+        x, rebuild = ravel_pytree(state.position)
+        backward, forward = WEIGHTS[self.weight]
+
+        def log_weights(points: jax.Array, origin: jax.Array, densities: jax.Array) -> jax.Array:
+            near = jnp.broadcast_to(origin[:, None], points.shape)
+            weight = densities + backward * self.proposal.log_prob(near, points, None, t)
+            return weight + forward * self.proposal.log_prob(points, near, None, t) if forward else weight
+
+        def densities_at(points: jax.Array) -> jax.Array:
+            return jax.vmap(lambda point: log_density(rebuild(point)), in_axes=-1)(points)
+
+        propose_key, pick_key, refer_key = (random.child(key, purpose) for purpose in (random.PREDICT, random.RESAMPLE, random.NOISE))
+        points = self.proposal.sample(propose_key, jnp.repeat(x[:, None], self.tries, axis=1), None, t)
+        densities = densities_at(points)
+        wrong = jnp.isnan(densities) | (densities == jnp.inf)
+        weights = jnp.where(wrong, -jnp.inf, log_weights(points, x, densities))
+        total = jax.nn.logsumexp(weights)
+        chosen = draw(pick_key, jnp.where(jnp.isfinite(total), weights - total, 0.0), 1)[0]
+        y = points[:, chosen]
+        # x itself is among the reference points: without it the chain would have another law
+        others = self.proposal.sample(refer_key, jnp.repeat(y[:, None], self.tries - 1, axis=1), None, t) if self.tries > 1 else x[:, :0]
+        reference = jnp.concatenate([others, x[:, None]], axis=1)
+        known = jnp.concatenate([densities_at(others) if self.tries > 1 else densities[:0], state.log_density[None]])
+        known = jnp.where(jnp.isnan(known), -jnp.inf, known)
+        log_ratio = jnp.where(jnp.isfinite(total), total - jax.nn.logsumexp(log_weights(reference, y, known)), -jnp.inf)
+        after, info = settle(random.child(key, random.UPDATE), state, State(rebuild(y), densities[chosen]), log_ratio)
+        return after, Info(info.tried, info.accepted, info.invalid + jnp.sum(wrong, dtype=jnp.int32))
