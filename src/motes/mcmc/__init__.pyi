@@ -13,6 +13,8 @@ from .convergence import r_hat as r_hat
 from .convergence import raftery_lewis as raftery_lewis
 from .convergence import standard_error as standard_error
 from .convergence import tail_ess as tail_ess
+from .generalized import GeneralizedSampler as GeneralizedSampler
+from .generalized import Orbit as Orbit
 from .gibbs import Gibbs as Gibbs
 from .gradients import HMC as HMC
 from .gradients import MALA as MALA
@@ -20,7 +22,13 @@ from .gradients import NUTS as NUTS
 from .interface import Info as Info
 from .interface import Kernel as Kernel
 from .interface import State as State
+from .jumps import Configuration as Configuration
+from .jumps import Jump as Jump
+from .jumps import birth_death as birth_death
+from .jumps import change_points as change_points
+from .jumps import split_merge as split_merge
 from .metropolis import IndependenceMetropolis as IndependenceMetropolis
 from .metropolis import MetropolisHastings as MetropolisHastings
 from .metropolis import RandomWalkMetropolis as RandomWalkMetropolis
 from .multiple_try import MultipleTry as MultipleTry
+from .reversible_jump import ReversibleJump as ReversibleJump

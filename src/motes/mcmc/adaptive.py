@@ -81,9 +81,9 @@ class Adaptive(Kernel):
         """Start with a scale for the standard normal density."""
         x = ravel_pytree(position)[0]
         first = jnp.log(jnp.asarray(self.kernel.first_scale(x.shape[0]), x.dtype))
-        nothing = jnp.zeros_like(x)
-        factor = jnp.eye(x.shape[0], dtype=x.dtype)
-        return Learned(first, factor, jnp.zeros((), x.dtype), nothing, jnp.outer(nothing, nothing), self.kernel.remembered(log_density, position))
+        none, nothing = jnp.zeros((), x.dtype), jnp.zeros_like(x)
+        inner = self.kernel.remembered(log_density, position)
+        return Learned(first, jnp.eye(x.shape[0], dtype=x.dtype), none, nothing, jnp.outer(nothing, nothing), inner)
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make a step and learn from it."""

@@ -67,7 +67,7 @@ class Chains:
         return f"{self.summary()}\naccepted: {rates}\n{self.diagnose()}"
 
     def to_datatree(self) -> Any:
-        """Return an `xarray.DataTree` as ArviZ wants it: groups `posterior` and `sample_stats`, dimensions chain and draw (extra `results`)."""
+        """Return an `xarray.DataTree` as ArviZ wants it (extra `results`): groups posterior and sample_stats."""
         posterior = {}
         for path, leaf in jax.tree_util.tree_flatten_with_path(self.positions)[0]:
             posterior["_".join(archive.path_names(path)) or "x"] = np.asarray(leaf)
@@ -110,7 +110,7 @@ class Chains:
             one = jax.eval_shape(lambda position: kernel.init(jax.random.key(0), log_density, position), position)
             like = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((shape[0], *leaf.shape), leaf.dtype), one)
             last = archive.fill(path, {"last": like}, tree)["last"]
-            every = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*shape, *leaf.shape), leaf.dtype), jax.eval_shape(lambda p: p, position))
+            every = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*shape, *leaf.shape), leaf.dtype), position)
             positions = archive.fill(path, {"positions": every}, tree)["positions"]
         return cls(positions, jnp.asarray(tree["log_density"]), Info(**counts), last, tree["steps"], tuple(texts["moves"]), texts["kernel"])
 
@@ -119,7 +119,7 @@ def joined(pieces: list[Chains]) -> Chains:
     """Put consecutive draws of the same chains together."""
     if not pieces:
         checks.refuse("pieces", "at least one Chains", "none")
-    whole = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *[(piece.positions, piece.log_density) for piece in pieces])
+    positions, log_density = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *[(piece.positions, piece.log_density) for piece in pieces])
     info = jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *[piece.info for piece in pieces])
     final = pieces[-1]
-    return Chains(*whole, info, final.last, final.steps, final.moves, final.label)
+    return Chains(positions, log_density, info, final.last, final.steps, final.moves, final.label)

@@ -106,7 +106,8 @@ def raftery_lewis(
         states = below[::thin]
         triples = np.zeros((2, 2, 2))
         np.add.at(triples, (states[:-2], states[1:-1], states[2:]), 1)
-        expected = triples.sum(axis=2, keepdims=True) * triples.sum(axis=0, keepdims=True) / np.maximum(triples.sum(axis=(0, 2)), 1)[None, :, None]
+        middle = np.maximum(triples.sum(axis=(0, 2)), 1)[None, :, None]
+        expected = triples.sum(axis=2, keepdims=True) * triples.sum(axis=0, keepdims=True) / middle
         seen = triples > 0
         if 2 * np.sum(triples[seen] * np.log(triples[seen] / expected[seen])) - 2 * math.log(states.size - 2) < 0:
             break

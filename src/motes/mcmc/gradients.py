@@ -5,7 +5,7 @@ position, x + L z, in which a density of covariance L L' is round.
 """
 
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,15 +14,6 @@ from jax.flatten_util import ravel_pytree
 from motes.core import checks
 from motes.core.record import record, replace, static
 from motes.mcmc.interface import Info, LogDensity, State, TunableKernel
-
-
-class Moved(NamedTuple):
-    """Where a step led: z `(x,)`, the log density there, the acceptance probability and whether the trajectory left all bounds."""
-
-    z: jax.Array
-    log_density: jax.Array
-    accepted: jax.Array
-    divergent: jax.Array | bool
 
 
 @record
@@ -62,8 +53,8 @@ class GradientKernel(TunableKernel):
         return replace(self, scale=scale, factor=factor)
 
     @abstractmethod
-    def moved(self, key: jax.Array, log_density: LogDensity, size: int, dtype: Any) -> Moved:
-        """Make a step from z = 0."""
+    def library(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+        """Return blackjax's module, and what its step takes after the density."""
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make one step."""
@@ -76,12 +67,15 @@ class GradientKernel(TunableKernel):
             value = log_density(rebuild(there(z)))
             return jnp.where(jnp.isnan(value) | (value == jnp.inf), -jnp.inf, value)
 
-        found = self.moved(key, judged, x.shape[0], x.dtype)
+        module, options = self.library(x.shape[0], x.dtype)
+        begun = module.init(jnp.zeros_like(x), judged)
+        found, told = module.build_kernel()(key, begun, judged, *options)
         # rounding in x + 0 must not move a chain that stays
-        stays = jnp.all(found.z == 0)
-        position = jax.tree.map(lambda new, old: jnp.where(stays, old, new), rebuild(there(found.z)), state.position)
-        after = State(position, jnp.where(stays, state.log_density, found.log_density))
-        return after, Info.of_one(found.accepted, jnp.asarray(found.divergent))
+        stays = jnp.all(found.position == 0)
+        position = jax.tree.map(lambda new, old: jnp.where(stays, old, new), rebuild(there(found.position)), state.position)
+        after = State(position, jnp.where(stays, state.log_density, found.logdensity))
+        lost = getattr(told, "is_divergent", jnp.isnan(told.acceptance_rate))
+        return after, Info.of_one(jnp.nan_to_num(told.acceptance_rate), lost)
 
 
 @record
@@ -92,13 +86,9 @@ class MALA(GradientKernel):
         """0.574 (Roberts, Rosenthal 1998)."""
         return 0.574
 
-    def moved(self, key: jax.Array, log_density: LogDensity, size: int, dtype: Any) -> Moved:
-        """Make a Langevin step."""
-        from blackjax.mcmc import mala
-
-        begun = mala.init(jnp.zeros(size, dtype), log_density)
-        after, info = mala.build_kernel()(key, begun, log_density, jnp.asarray(self.scale, dtype) ** 2 / 2)
-        return Moved(after.position, after.logdensity, info.acceptance_rate, jnp.isnan(info.acceptance_rate))
+    def library(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+        """Take Langevin steps; blackjax's step size is half the square of the scale."""
+        return checks.need("blackjax.mcmc.mala", "mcmc"), (jnp.asarray(self.scale, dtype) ** 2 / 2,)
 
 
 @record
@@ -117,14 +107,9 @@ class HMC(GradientKernel):
         """0.65 (Beskos et al. 2013), a little more to be safe: 0.75."""
         return 0.75
 
-    def moved(self, key: jax.Array, log_density: LogDensity, size: int, dtype: Any) -> Moved:
-        """Follow a trajectory."""
-        from blackjax.mcmc import hmc
-
-        begun = hmc.init(jnp.zeros(size, dtype), log_density)
-        ones = jnp.ones(size, dtype)
-        after, info = hmc.build_kernel()(key, begun, log_density, jnp.asarray(self.scale, dtype), ones, self.leaps)
-        return Moved(after.position, after.logdensity, info.acceptance_rate, info.is_divergent)
+    def library(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+        """Take trajectories."""
+        return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), self.leaps)
 
 
 @record
@@ -143,11 +128,6 @@ class NUTS(GradientKernel):
         """0.8 (Hoffman, Gelman 2014)."""
         return 0.8
 
-    def moved(self, key: jax.Array, log_density: LogDensity, size: int, dtype: Any) -> Moved:
-        """Follow a trajectory both ways."""
-        from blackjax.mcmc import nuts
-
-        begun = nuts.init(jnp.zeros(size, dtype), log_density)
-        ones = jnp.ones(size, dtype)
-        after, info = nuts.build_kernel()(key, begun, log_density, jnp.asarray(self.scale, dtype), ones, self.doublings)
-        return Moved(after.position, after.logdensity, info.acceptance_rate, info.is_divergent)
+    def library(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+        """Take trajectories that stop in time."""
+        return checks.need("blackjax.mcmc.nuts", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), self.doublings)

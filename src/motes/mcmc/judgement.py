@@ -17,6 +17,8 @@ from motes.mcmc import convergence
 MIXED = 1.01
 ENOUGH = 100
 """Effective draws wanted of each chain."""
+RARE = 1e-3
+"""Share of proposals up to which densities that are no numbers are a matter of rounding."""
 COLUMNS = ("quantity", "mean", "sd", "5 %", "95 %", "s.e. of mean", "bulk ESS", "tail ESS", "R-hat")
 
 
@@ -35,26 +37,25 @@ def summary(columns: Mapping[str, np.ndarray]) -> Table:
 def judged(chains: Any) -> Diagnosis:
     """Judge chains; see the head of this file."""
     columns = chains.columns()
-    return Diagnosis.of([*at_once(chains), _never(chains), _mixed(columns), _few(columns), _alone(chains)])
+    return Diagnosis.of([_invalid(chains), _stuck(chains), _never(chains), _mixed(columns), _few(columns), _alone(chains)])
 
 
 def at_once(chains: Any) -> list[Finding]:
-    """Find what a caller should hear of at once: chains that never moved, densities that are no numbers."""
-    return [finding for finding in (_invalid(chains), _stuck(chains)) if finding is not None]
+    """Find what a caller should hear of at once: chains that never moved, many densities that are no numbers."""
+    return [finding for finding in (_invalid(chains), _stuck(chains)) if finding is not None and finding.serious]
 
 
 def _invalid(chains: Any) -> Finding | None:
-    """Find densities that were no numbers, and trajectories that left all bounds."""
-    counts = np.asarray(chains.info.invalid).sum(axis=0)
+    counts, tried = (np.asarray(part, np.float64).sum(axis=0) for part in (chains.info.invalid, chains.info.tried))
     if not counts.any():
         return None
-    which = ", ".join(f"{move} {count}" for move, count in zip(chains.moves, counts, strict=True) if count)
-    return Finding("invalid", f"log_density was NaN or infinite, or a trajectory left all bounds, at proposals of {which}; none was accepted.",
-                   "Look for logarithms and roots of negative numbers; give impossible positions -inf.", True)
+    which = ", ".join(f"{move} {count:.0f}" for move, count in zip(chains.moves, counts, strict=True) if count)
+    text = f"log_density was NaN or infinite, a trajectory left all bounds or a jump was not undone: {which}; none was accepted."
+    advice = "Look for logarithms and roots of negative numbers; give impossible positions -inf."
+    return Finding("invalid", text, advice, bool((counts > RARE * tried).any()))
 
 
 def _stuck(chains: Any) -> Finding | None:
-    """Find chains that never moved."""
     leaves = [np.asarray(leaf).reshape(*np.shape(leaf)[:2], -1) for leaf in jax.tree.leaves(chains.positions)]
     still = np.all([np.all(leaf == leaf[:, :1], axis=(1, 2)) for leaf in leaves], axis=0)
     if not still.any() or chains.log_density.shape[1] < 2:
@@ -68,7 +69,8 @@ def _never(chains: Any) -> Finding | None:
     names = [move for move, rate in chains.acceptance.items() if rate < 1e-6]
     if not names:
         return None
-    return Finding("never accepted", f"no proposal of {', '.join(names)} was accepted.", "Take smaller steps, or leave this move out.", False)
+    text = f"no proposal of {', '.join(names)} was accepted."
+    return Finding("never accepted", text, "Take smaller steps, or leave this move out.", False)
 
 
 def _mixed(columns: Mapping[str, np.ndarray]) -> Finding | None:
@@ -89,7 +91,8 @@ def _few(columns: Mapping[str, np.ndarray]) -> Finding | None:
     wanted = ENOUGH * next(iter(columns.values())).shape[0]
     if known[worst] >= wanted:
         return None
-    return Finding("few draws", f"{worst} has {known[worst]:.0f} effective draws, fewer than {wanted}.", "Draw more, or use a better kernel.", True)
+    text = f"{worst} has {known[worst]:.0f} effective draws, fewer than {wanted}."
+    return Finding("few draws", text, "Draw more, or use a better kernel.", True)
 
 
 def _alone(chains: Any) -> Finding | None:

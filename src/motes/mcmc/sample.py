@@ -73,9 +73,9 @@ def sample(
         for count, keep in tracked(pieces, "sampling", None):
             states, info, out = _advance(key, kernel, target, states, jnp.int32(begun), count, keep)
             begun += count
-            if keep:
+            if out is not None:
                 jax.block_until_ready(out)
-                kept.append(Chains(*out, info, states, jnp.int32(begun), kernel.moves, repr(kernel)))
+                kept.append(Chains(out[0], out[1], info, states, jnp.int32(begun), kernel.moves, repr(kernel)))
     except KeyboardInterrupt:
         if not kept:
             raise
