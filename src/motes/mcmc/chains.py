@@ -119,7 +119,8 @@ def joined(pieces: list[Chains]) -> Chains:
     """Put consecutive draws of the same chains together."""
     if not pieces:
         checks.refuse("pieces", "at least one Chains", "none")
-    positions, log_density = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *[(piece.positions, piece.log_density) for piece in pieces])
+    drawn = [(piece.positions, piece.log_density) for piece in pieces]
+    positions, log_density = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *drawn)
     info = jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *[piece.info for piece in pieces])
     final = pieces[-1]
     return Chains(positions, log_density, info, final.last, final.steps, final.moves, final.label)

@@ -83,12 +83,11 @@ class GeneralizedSampler(Kernel):
     def log_stationary(self, position: Position) -> jax.Array:
         """Log of q_x, `(m,)`: the probabilities on Phi(x) that Q leaves as they are."""
         can = self.phi(position)
-        count = can.shape[0]
-        Q = jnp.exp(jax.vmap(lambda i: self.q(i, position))(jnp.arange(count)))
-        Q = jnp.where(can[:, None] & can, Q, 0)
-        # the mean over all starts of the average over time, which periodic Q have too
-        system = jnp.concatenate([jnp.where(can[:, None] & can, Q.T - jnp.eye(count), jnp.eye(count) * ~can), jnp.ones((1, count))])
-        return jnp.log(jnp.maximum(jnp.linalg.lstsq(system, jnp.zeros(count + 1).at[-1].set(1.0))[0], 0))
+        unit = jnp.eye(can.shape[0])
+        Q = jnp.exp(jax.vmap(lambda i: self.q(i, position))(jnp.arange(can.shape[0])))
+        # q (1 - Q + J) = 1', J all ones, has q = q Q with sum 1 for its only solution, also where Q is periodic
+        system = jnp.where(can[:, None] & can, unit - Q + 1, unit)
+        return jnp.log(jnp.maximum(jnp.linalg.solve(system.T, can.astype(system.dtype)), 0))
 
     def _log_weights(self, log_density: LogDensity, orbit: Orbit) -> tuple[jax.Array, jax.Array]:
         """Log of p(z) q_z(k) |dz/dx| and log p(z) of each pair of an orbit, `(c,)` both."""

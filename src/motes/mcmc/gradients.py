@@ -74,8 +74,7 @@ class GradientKernel(TunableKernel):
         stays = jnp.all(found.position == 0)
         position = jax.tree.map(lambda new, old: jnp.where(stays, old, new), rebuild(there(found.position)), state.position)
         after = State(position, jnp.where(stays, state.log_density, found.logdensity))
-        lost = getattr(told, "is_divergent", jnp.isnan(told.acceptance_rate))
-        return after, Info.of_one(jnp.nan_to_num(told.acceptance_rate), lost)
+        return after, Info.of_one(jnp.nan_to_num(told.acceptance_rate), told.is_divergent)
 
 
 @record
@@ -87,8 +86,8 @@ class MALA(GradientKernel):
         return 0.574
 
     def library(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
-        """Take Langevin steps; blackjax's step size is half the square of the scale."""
-        return checks.need("blackjax.mcmc.mala", "mcmc"), (jnp.asarray(self.scale, dtype) ** 2 / 2,)
+        """Take trajectories of a single leap, which are Langevin steps; blackjax's own say nothing of densities that are no numbers."""
+        return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), 1)
 
 
 @record

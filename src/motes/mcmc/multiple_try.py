@@ -68,7 +68,7 @@ class MultipleTry(Kernel):
         chosen = draw(pick_key, jnp.where(jnp.isfinite(total), weights - total, 0.0), 1)[0]
         y = points[:, chosen]
         # x itself is among the reference points: without it the chain would have another law
-        others = self.proposal.sample(refer_key, jnp.repeat(y[:, None], self.tries - 1, axis=1), None, t) if self.tries > 1 else x[:, :0]
+        others = self.proposal.sample(refer_key, jnp.repeat(y[:, None], self.tries - 1, axis=1), None, t) if self.tries > 1 else points[:, :0]
         reference = jnp.concatenate([others, x[:, None]], axis=1)
         known = jnp.concatenate([densities_at(others) if self.tries > 1 else densities[:0], state.log_density[None]])
         known = jnp.where(jnp.isnan(known), -jnp.inf, known)

@@ -1,0 +1,177 @@
+"""The loop: resuming, files, trees of positions, warnings, words."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import motes as mo
+from motes.core.checks import MotesError, MotesWarning
+
+mcmc = mo.mcmc
+PRECISION = jnp.array([[1.0, 0.6], [0.6, 2.0]])
+
+
+def log_density(x):
+    return -0.5 * x @ PRECISION @ x
+
+
+ADAPTIVE = mcmc.Adaptive(mcmc.RandomWalkMetropolis(), steps=150)
+
+
+@pytest.mark.optimized
+def test_a_run_cut_within_its_warm_up_equals_the_uncut_one(tmp_path):
+    whole = mo.sample(5, ADAPTIVE, log_density, jnp.zeros(2), draws=200, chains=3, burn_in=0)
+    first = mo.sample(5, ADAPTIVE, log_density, jnp.zeros(2), draws=80, chains=3, burn_in=0)
+    first.save(tmp_path / "chains.npz")
+    back = mo.Chains.load(tmp_path / "chains.npz", ADAPTIVE, log_density)
+    second = mo.sample(5, ADAPTIVE, log_density, back, draws=120)
+    both = mcmc.joined([back, second])
+    for one, other in zip(jax.tree.leaves((whole.positions, whole.log_density, whole.last)),
+                          jax.tree.leaves((both.positions, both.log_density, both.last)), strict=True):  # fmt: skip
+        assert np.array_equal(np.asarray(one), np.asarray(other))
+    assert int(both.steps) == 200
+    assert np.asarray(both.info.tried).tolist() == np.asarray(whole.info.tried).tolist()
+
+
+def test_positions_are_any_tree():
+    kernel = mcmc.within_gibbs({"level": mcmc.RandomWalkMetropolis(1.0), "slopes": mcmc.RandomWalkMetropolis(0.8)})
+    chains = mo.sample(1, kernel, lambda p: -0.5 * (p["level"] - 2.0) ** 2 - jnp.sum(p["slopes"] ** 2),
+                       {"level": 0.0, "slopes": jnp.zeros(3)}, draws=2_000)  # fmt: skip
+    assert list(chains.columns()) == ["level", "slopes[0]", "slopes[1]", "slopes[2]"]
+    assert chains.positions["slopes"].shape == (4, 2_000, 3)
+    table = chains.summary()
+    assert abs(table.column("mean")[0] - 2) < 5 * table.column("s.e. of mean")[0]
+    tree = chains.to_datatree()
+    assert dict(tree["posterior"].sizes)["chain"] == 4 and dict(tree["posterior"].sizes)["draw"] == 2_000
+    assert set(chains.acceptance) == {"level: RandomWalkMetropolis", "slopes: RandomWalkMetropolis"}
+
+
+def test_thinning():
+    kernel = mcmc.RandomWalkMetropolis(1.5)
+    fine = mo.sample(2, mcmc.Repeat(kernel, 1), log_density, jnp.zeros(2), draws=50, burn_in=0)
+    assert np.asarray(mo.sample(2, mcmc.Repeat(kernel, 4), log_density, jnp.zeros(2), draws=50, burn_in=0).info.tried).max() == 200
+    assert np.asarray(fine.info.tried).max() == 50
+
+
+def test_starts_may_be_drawn():
+    chains = mo.sample(1, ADAPTIVE, log_density, lambda key: 3 * jax.random.normal(key, (2,)), draws=1, chains=50, burn_in=0)
+    assert np.asarray(chains.positions).std() > 1.5
+
+
+def test_learning_finds_scale_and_shape():
+    factor = jnp.array([[1.0, 0.0], [9.5, 0.5]])
+
+    def narrow(x):
+        return -0.5 * jnp.sum(jax.scipy.linalg.solve_triangular(factor, x, lower=True) ** 2)
+
+    plain, learned = (mo.sample(3, kernel, narrow, jnp.zeros(2), draws=2_000) for kernel in (
+        mcmc.RandomWalkMetropolis(0.7), mcmc.Adaptive(mcmc.RandomWalkMetropolis())))  # fmt: skip
+    assert abs(list(learned.acceptance.values())[0] - 0.337) < 0.1
+    assert learned.summary().column("bulk ESS")[1] > 5 * plain.summary().column("bulk ESS")[1]
+    found = np.cov(np.asarray(learned.positions).reshape(-1, 2).T)
+    np.testing.assert_allclose(found, np.asarray(factor @ factor.T), rtol=0.25, atol=0.3)
+
+
+def test_words():
+    good = mo.sample(3, mcmc.Adaptive(mcmc.RandomWalkMetropolis()), log_density, jnp.zeros(2), draws=3_000)
+    assert good.diagnose().trusted and "Nothing wrong" in str(good)
+    apart = mo.Mixture.of(jnp.array([0.5, 0.5]), jnp.array([[-20.0, 20.0]]), jnp.ones((1, 1, 2)))
+    bad = mo.sample(3, mcmc.RandomWalkMetropolis(1.0), apart.log_prob, lambda key: 20 * jax.random.rademacher(key, (1,)).astype(float),
+                    draws=500, chains=8)  # fmt: skip
+    assert "not mixed" in bad.diagnose() and not bad.diagnose().trusted
+    short = mo.sample(3, mcmc.RandomWalkMetropolis(0.05), log_density, jnp.zeros(2), draws=200, chains=1)
+    assert "few draws" in short.diagnose() and "one chain" in short.diagnose()
+
+
+def test_a_chain_that_never_moves_is_told():
+    with pytest.warns(MotesWarning, match="stuck: chain 0, 1"):
+        chains = mo.sample(0, mcmc.RandomWalkMetropolis(1e6), log_density, jnp.zeros(2), draws=100, chains=2)
+    assert np.isnan(chains.summary().column("R-hat")).all()
+    assert "never accepted" in chains.diagnose()
+
+
+SEVERAL = [mcmc.RandomWalkMetropolis(1.0), mcmc.HMC(0.3), mcmc.NUTS(0.3), mcmc.MALA(0.5),
+           mcmc.MultipleTry(mo.LinearGaussian(jnp.eye(2), jnp.eye(2)), 3)]  # fmt: skip
+
+
+@pytest.mark.parametrize("kernel", SEVERAL, ids=lambda kernel: type(kernel).__name__)
+def test_densities_that_are_no_numbers_are_never_accepted_and_told(kernel):
+    def holes(x):
+        return log_density(x) + 0 * jnp.log(x[0] + 0.5)
+
+    with pytest.warns(MotesWarning, match="invalid: log_density was NaN"):
+        chains = mo.sample(0, kernel, holes, jnp.zeros(2), draws=400)
+    assert np.isfinite(np.asarray(chains.log_density)).all() and (np.asarray(chains.positions)[..., 0] > -0.5).all()
+
+
+def test_interrupted_chains_are_given_back(monkeypatch):
+    from motes.mcmc import sample as module
+
+    true, calls = module._advance, []
+
+    def interrupted(*args):
+        calls.append(1)
+        if len(calls) > 12:
+            raise KeyboardInterrupt
+        return true(*args)
+
+    monkeypatch.setattr(module, "_advance", interrupted)
+    with pytest.warns(MotesWarning, match="interrupted after 120 steps"):
+        part = mo.sample(4, ADAPTIVE, log_density, jnp.zeros(2), draws=200, burn_in=0)
+    monkeypatch.undo()
+    assert part.log_density.shape == (4, 120)
+
+
+REFUSED = [
+    (dict(kernel=3), "sample kernel: expected a kernel"),
+    (dict(log_density=3), "sample log_density: expected a function"),
+    (dict(draws=0), "sample draws: expected a whole number of at least 1"),
+    (dict(burn_in=-1), "sample burn_in: expected a whole number of at least 0"),
+    (dict(init={}), "sample init: expected a position with at least one number"),
+    (dict(init="here"), "sample init: expected a position"),
+    (dict(log_density=lambda x: jnp.nan * x[0]), "log_density at init: expected a finite number, got nan for chain 0"),
+    (dict(log_density=lambda x: -jnp.inf + 0 * x[0]), "log_density at init: expected a finite number, got -inf"),
+    (dict(log_density=lambda x: x), "log_density at init: expected shape \\(any,\\) \\(one number for each chain\\)"),
+    (dict(kernel=mcmc.RandomWalkMetropolis(jnp.ones(3))), "RandomWalkMetropolis scale: expected one number or 2"),
+    (dict(kernel=mcmc.Block("mu", mcmc.RandomWalkMetropolis(1.0))), "Block part: expected a part of the position"),
+    (dict(kernel=mcmc.NUTS(), init=jnp.zeros(2, int), log_density=lambda x: 0.0 * x.sum()), "NUTS position: expected real numbers"),
+]
+
+
+@pytest.mark.parametrize("changes, message", REFUSED, ids=lambda value: value[:40] if isinstance(value, str) else "")
+def test_refusals(changes, message):
+    given = dict(kernel=mcmc.RandomWalkMetropolis(1.0), log_density=log_density, init=jnp.zeros(2), draws=10) | changes
+    with pytest.raises(MotesError, match=message):
+        mo.sample(0, **given)
+
+
+KNOBS = [
+    (lambda: mcmc.RandomWalkMetropolis(-1.0), "RandomWalkMetropolis scale: expected positive numbers"),
+    (lambda: mcmc.RandomWalkMetropolis(jnp.ones((2, 3))), "RandomWalkMetropolis scale: expected a number"),
+    (lambda: mcmc.IndependenceMetropolis(3), "IndependenceMetropolis law: expected a law"),
+    (lambda: mcmc.MetropolisHastings(3), "MetropolisHastings proposal: expected a conditional"),
+    (lambda: mcmc.MultipleTry(mo.LinearGaussian(jnp.eye(1), jnp.eye(1)), 0), "MultipleTry tries: expected a whole number"),
+    (lambda: mcmc.Cycle([]), "Cycle kernels: expected at least one kernel"),
+    (lambda: mcmc.Cycle([3]), "Cycle kernel: expected a kernel"),
+    (lambda: mcmc.Mix([mcmc.HMC()], [0.0]), "Mix weights: expected 1 positive numbers"),
+    (lambda: mcmc.Adaptive(mcmc.Cycle([mcmc.HMC()])), "Adaptive kernel: expected RandomWalkMetropolis"),
+    (lambda: mcmc.Gibbs({}), "Gibbs draws: expected a dictionary"),
+    (lambda: mcmc.Gibbs({"a": 3}), "Gibbs draws\\['a'\\]: expected a function"),
+    (lambda: mcmc.HMC(scale=0.0), "HMC scale: expected a number above 0"),
+    (lambda: mcmc.joined([]), "pieces: expected at least one Chains"),
+]
+
+
+@pytest.mark.parametrize("make, message", KNOBS, ids=[message[:30] for _, message in KNOBS])
+def test_refused_knobs(make, message):
+    with pytest.raises(MotesError, match=message):
+        make()
+
+
+def test_no_warning_without_a_reason():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mo.sample(3, ADAPTIVE, log_density, jnp.zeros(2), draws=300)
