@@ -81,13 +81,13 @@ def test_metropolis_hastings_in_law():
         x = jnp.where(component, -1 + noise, 2 + 0.5 * noise)
         return jnp.stack([x, 0.5 * x + sd * jax.random.normal(random.child(key, 5))])
 
-    one = mo.sample(0, mcmc.Cycle([swaps, fresh]), joint, start, draws=1, chains=5_000, burn_in=20)
+    one = mo.sample(0, mcmc.Repeat(mcmc.Cycle([swaps, fresh]), 20), joint, start, draws=1, chains=5_000, burn_in=0)
     fresh_x = np.asarray(jax.vmap(start)(jax.vmap(lambda k: random.step_key(random.as_key(9), k))(jnp.arange(20_000))))[:, 0]
     assert stats.ks_2samp(np.asarray(one.positions)[:, 0, 0], fresh_x).pvalue > 1e-6
     # and it accepts as often as Metropolis-Hastings
     proposal = mo.AdditiveGaussian(lambda x, u, t: 0.5 * x, sd**2 * jnp.eye(1))
-    other = mo.sample(0, mcmc.MetropolisHastings(proposal), lambda x: target(x[0]), lambda key: start(key)[:1], draws=1, chains=5_000,
-                      burn_in=20)  # fmt: skip
+    metropolis = mcmc.Repeat(mcmc.MetropolisHastings(proposal), 20)
+    other = mo.sample(0, metropolis, lambda x: target(x[0]), lambda key: start(key)[:1], draws=1, chains=5_000, burn_in=0)
     moved = [np.asarray(chains.positions)[:, 0, ...].reshape(5_000, -1)[:, 0] for chains in (one, other)]
     assert stats.ks_2samp(*moved).pvalue > 1e-6
 
@@ -123,7 +123,7 @@ def test_reversible_jump_in_law(r):
 
     kernel = mcmc.Cycle([jump, mcmc.Block("x", mcmc.RandomWalkMetropolis(0.4))])
     safe = lambda p: jnp.where(jnp.all(p["x"] > 0), log_density(jax.tree.map(jnp.abs, p)), -jnp.inf)  # noqa: E731
-    chains = mo.sample(0, kernel, safe, start, draws=1, chains=5_000, burn_in=25)
+    chains = mo.sample(0, mcmc.Repeat(kernel, 25), safe, start, draws=1, chains=5_000, burn_in=0)
     model, x = np.asarray(chains.positions["model"])[:, 0], np.asarray(chains.positions["x"])[:, 0]
     assert stats.binomtest(int(model.sum()), 5_000, 0.65).pvalue > 1e-6
     assert stats.kstest(x[model == 0, 0], stats.gamma(3).cdf).pvalue > 1e-6

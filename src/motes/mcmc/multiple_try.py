@@ -68,9 +68,11 @@ class MultipleTry(Kernel):
         chosen = draw(pick_key, jnp.where(jnp.isfinite(total), weights - total, 0.0), 1)[0]
         y = points[:, chosen]
         # x itself is among the reference points: without it the chain would have another law
-        others = self.proposal.sample(refer_key, jnp.repeat(y[:, None], self.tries - 1, axis=1), None, t) if self.tries > 1 else points[:, :0]
-        reference = jnp.concatenate([others, x[:, None]], axis=1)
-        known = jnp.concatenate([densities_at(others) if self.tries > 1 else densities[:0], state.log_density[None]])
+        others, known = points[:, :0], densities[:0]
+        if self.tries > 1:
+            others = self.proposal.sample(refer_key, jnp.repeat(y[:, None], self.tries - 1, axis=1), None, t)
+            known = densities_at(others)
+        reference, known = jnp.concatenate([others, x[:, None]], axis=1), jnp.append(known, state.log_density)
         known = jnp.where(jnp.isnan(known), -jnp.inf, known)
         log_ratio = jnp.where(jnp.isfinite(total), total - jax.nn.logsumexp(log_weights(reference, y, known)), -jnp.inf)
         after, info = settle(random.child(key, random.UPDATE), state, State(rebuild(y), densities[chosen]), log_ratio)

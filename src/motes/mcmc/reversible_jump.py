@@ -125,14 +125,17 @@ class ReversibleJump(Kernel):
         undone = (old_size + u.shape[0] == new_size + new_u.shape[0]) & _same(again, (model, x, u, choice), old_size)
         return Proposed(there, log_back + log_u + log_volume, undone)
 
+    def _jumped(self, chosen: jax.Array, key: jax.Array, position: Configuration) -> Proposed:
+        """Make the chosen jump."""
+        branches = [lambda position, place=place: self._proposed(place, key, position) for place in range(len(self.jumps))]
+        return jax.lax.switch(chosen, branches, position)
+
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make one jump, and a step within the model."""
         jump_key = random.child(key, random.PREDICT)
         log_jumps = self._log_jumps(state.position)
         chosen = draw(random.child(jump_key, random.INITIAL), log_jumps, 1)[0]
-        there, log_ratio, undone = jax.lax.switch(
-            chosen, [lambda position, place=place: self._proposed(place, jump_key, position) for place in range(len(self.jumps))],
-            state.position)
+        there, log_ratio, undone = self._jumped(chosen, jump_key, state.position)
         backs = jnp.array([self.names.index(jump.reverse) for jump in self.jumps])
         density = log_density(there)
         log_ratio = log_ratio + self._log_jumps(there)[backs[chosen]] - log_jumps[chosen] + density - state.log_density
@@ -159,8 +162,7 @@ class ReversibleJump(Kernel):
         if not (isinstance(position, tuple) and hasattr(position, "model") and hasattr(position, "x")):
             checks.refuse("ReversibleJump init", "a mo.mcmc.Configuration(model, x)", type(position).__name__)
         here = self._padded(Configuration(*position))
-        jumped = [jax.jit(lambda key, here, place=place: self._proposed(place, key, here)) for place in range(len(self.jumps))]
-        choose = jax.jit(self._log_jumps)
+        jumped, choose = jax.jit(self._jumped), jax.jit(self._log_jumps)
         tried = np.zeros(len(self.jumps), int)
         for trial in range(TRIALS):
             possible = np.flatnonzero(np.isfinite(np.asarray(choose(here))))
@@ -168,7 +170,7 @@ class ReversibleJump(Kernel):
                 break
             place = int(possible[np.argmin(tried[possible])])
             tried[place] += 1
-            found = jumped[place](random.step_key(key, trial), here)
+            found = jumped(jnp.int32(place), random.step_key(key, trial), here)
             name, back = self.names[place], self.jumps[place].reverse
             if not bool(found.undone):
                 checks.refuse(f"ReversibleJump jumps[{name!r}] map", f"one that {back!r} undoes, with as many live numbers on both sides",

@@ -1,5 +1,6 @@
 """The one loop over the steps of chains."""
 
+import math
 from functools import partial
 from typing import Any
 
@@ -16,8 +17,8 @@ from motes.mcmc.chains import Chains, joined
 from motes.mcmc.interface import Info, Kernel, LogDensity, State
 from motes.models.canonical import canonical_function, shape_of
 
-PIECES = 20
-"""Chains are drawn in so many pieces, for progress and so that an interruption loses little."""
+PIECES, MOST_PIECES = 20, 200
+"""Chains are drawn in about so many pieces, at most as many as the second, for progress and so that an interruption loses little."""
 
 
 @record
@@ -71,11 +72,10 @@ def sample(
     kept: list[Chains] = []
     try:
         for count, keep in tracked(pieces, "sampling", None):
-            states, info, out = _advance(key, kernel, target, states, jnp.int32(begun), count, keep)
+            states, info, out = jax.block_until_ready(_advance(key, kernel, target, states, jnp.int32(begun), count))
             begun += count
-            if out is not None:
-                jax.block_until_ready(out)
-                kept.append(Chains(out[0], out[1], info, states, jnp.int32(begun), kernel.moves, repr(kernel)))
+            if keep:
+                kept.append(Chains(*out, info, states, jnp.int32(begun), kernel.moves, repr(kernel)))
     except KeyboardInterrupt:
         if not kept:
             raise
@@ -88,7 +88,7 @@ def sample(
 
 def _starts(key: jax.Array, init: Any, chains: int) -> Any:
     if is_function(init):
-        return jax.vmap(init)(jnp.stack([random.step_key(key, chain) for chain in range(chains)]))
+        return jax.jit(lambda key: jax.vmap(init)(_keys(key, chains)))(key)
     try:
         position = jax.tree.map(lambda leaf: jnp.asarray(leaf) if not isinstance(leaf, float) else checks.as_float("init", leaf), init)
     except TypeError:
@@ -96,6 +96,11 @@ def _starts(key: jax.Array, init: Any, chains: int) -> Any:
     if not jax.tree.leaves(position):
         checks.refuse("sample init", "a position with at least one number", repr(init))
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (chains, *leaf.shape)), position)
+
+
+def _keys(key: jax.Array, chains: int) -> jax.Array:
+    """Return a key for each chain."""
+    return jax.vmap(lambda chain: random.step_key(key, chain))(jnp.arange(chains))
 
 
 def _target(log_density: LogDensity, positions: Any) -> Target:
@@ -113,34 +118,37 @@ def _check_density(target: Target, positions: Any) -> None:
 
 
 def _pieces(burn_in: int, draws: int) -> list[tuple[int, bool]]:
-    """Split steps into pieces of equal length, since each length is compiled anew; True where draws are kept."""
+    """Split steps into pieces, of one length where that can be since each length is compiled anew; True where draws are kept."""
+    common = math.gcd(burn_in, draws)
+    if common * MOST_PIECES >= burn_in + draws:
+        least = min(common, -(-common * PIECES // (burn_in + draws)))
+        length = common // next(parts for parts in range(least, common + 1) if common % parts == 0)
+        return [(length, k * length >= burn_in) for k in range((burn_in + draws) // length)]
 
     def split(count: int) -> int:
-        return max(pieces for pieces in range(1, PIECES + 1) if count % pieces == 0)
+        return max(parts for parts in range(1, PIECES + 1) if count % parts == 0)
 
-    burning = [(burn_in // split(burn_in), False)] * split(burn_in) if burn_in else []
-    return burning + [(draws // split(draws), True)] * split(draws)
+    return [(burn_in // split(burn_in), False)] * split(burn_in) + [(draws // split(draws), True)] * split(draws)
 
 
 @jax.jit
 def _begin(key: jax.Array, kernel: Kernel, target: Target, positions: Any) -> State:
-    chains = jax.tree.leaves(positions)[0].shape[0]
-    keys = jax.vmap(lambda chain: random.step_key(key, chain))(jnp.arange(chains))
+    keys = _keys(key, jax.tree.leaves(positions)[0].shape[0])
     return jax.vmap(lambda key, position: kernel.init(key, target.log_density, position))(keys, positions)
 
 
-@partial(jax.jit, static_argnames=("count", "keep"))
+@partial(jax.jit, static_argnames="count")
 def _advance(
-    key: jax.Array, kernel: Kernel, target: Target, states: State, begun: jax.Array, count: int, keep: bool
-) -> tuple[State, Info, tuple[Any, jax.Array] | None]:
+    key: jax.Array, kernel: Kernel, target: Target, states: State, begun: jax.Array, count: int
+) -> tuple[State, Info, tuple[Any, jax.Array]]:
     chains = states.log_density.shape[0]
-    keys = jax.vmap(lambda chain: random.step_key(key, chain))(jnp.arange(chains))
+    keys = _keys(key, chains)
 
     def advance(held: tuple[State, Info], t: jax.Array) -> tuple[tuple[State, Info], Any]:
         # the barrier keeps the compiler from fusing steps, so that a step computes the same bits in a run of any length
         states, info = jax.lax.optimization_barrier(held)
         states, more = jax.vmap(lambda key, state: kernel.step(random.step_key(key, t), target.log_density, state, t))(keys, states)
-        return (states, jax.tree.map(jnp.add, info, more)), (states.position, states.log_density) if keep else None
+        return (states, jax.tree.map(jnp.add, info, more)), (states.position, states.log_density)
 
     nothing = jax.tree.map(lambda leaf: jnp.zeros((chains, *leaf.shape), leaf.dtype), Info.none(len(kernel.moves)))
     (states, info), out = jax.lax.scan(advance, (states, nothing), begun + jnp.arange(count, dtype=jnp.int32))
