@@ -10,10 +10,11 @@ SOURCE = Path(__file__).parents[2] / "src" / "motes"
 
 RANKS = {
     "core": 0, "laws": 1, "io": 1, "models": 2, "resampling": 2, "native": 3, "filters": 4,
-    "smoothers": 5, "montecarlo": 5, "mcmc": 5, "bounds": 5, "costs": 5, "diagnostics": 5,
-    "studies": 6, "planning": 7, "applications": 7, "plotting": 8, "report": 8, "cli": 9,
+    "smoothers": 5, "mcmc": 5, "bounds": 5, "costs": 5, "diagnostics": 5,
+    "montecarlo": 6, "studies": 6, "planning": 7, "applications": 7, "parameters": 7, "plotting": 8, "report": 8, "cli": 9,
 }  # fmt: skip
-SHARED = {"filters": ("interface", "history", "keep", "run"), "mcmc": ("interface", "chains", "convergence", "judgement", "jumps")}
+SHARED = {"filters": ("interface", "history", "keep", "run"), "mcmc": ("interface", "chains", "convergence", "judgement", "jumps"),
+          "montecarlo": ("estimate",)}
 """Files of a room of methods that others of the room may import; the methods themselves may not import each other."""
 
 

@@ -1,6 +1,7 @@
 """Checks of what the user gives: every refusal is one line that names the argument, what was expected, what was given, what to do."""
 
 import importlib
+import sys
 import warnings
 from types import ModuleType
 from typing import Any, NoReturn
@@ -39,8 +40,11 @@ class MotesWarning(UserWarning):
 
 
 def warn(text: str) -> None:
-    """Warn the caller of a public function, in one line."""
-    warnings.warn(str(MotesError(text)), MotesWarning, stacklevel=3)
+    """Warn in one line, at the place outside of the library from where it was called."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("motes."):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(str(MotesError(text)), MotesWarning, stacklevel=level)
 
 
 def refuse(argument: str, expected: str, given: object, hint: str = "", error: type[MotesError] = MotesError) -> NoReturn:

@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 
 from motes.core import checks, linalg
 from motes.core.record import record, replace, static
-from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, TunableKernel
+from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, Tunable
 
 FIRST_WINDOW = 32
 PRIOR_DRAWS = 5.0
@@ -52,7 +52,7 @@ class Adaptive(Kernel):
         target: acceptance probability; the kernel's own if not given.
     """
 
-    kernel: TunableKernel
+    kernel: Any
     steps: int = static(default=1_000)
     target: float | None = static(default=None)
 
@@ -62,7 +62,7 @@ class Adaptive(Kernel):
         Raises:
             MotesError: naming the one that cannot be used.
         """
-        if not isinstance(self.kernel, TunableKernel):
+        if not (isinstance(self.kernel, Kernel) and isinstance(self.kernel, Tunable)):
             checks.refuse("Adaptive kernel", "RandomWalkMetropolis, MALA, HMC or NUTS", type(self.kernel).__name__)
         checks.positive_integer("Adaptive steps", self.steps)
         if self.target is not None and not 0 < self.target < 1:

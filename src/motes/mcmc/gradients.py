@@ -13,11 +13,11 @@ from jax.flatten_util import ravel_pytree
 
 from motes.core import checks
 from motes.core.record import record, replace, static
-from motes.mcmc.interface import Info, LogDensity, State, TunableKernel
+from motes.mcmc.interface import Info, Kernel, LogDensity, State, Tunable
 
 
 @record
-class GradientKernel(TunableKernel):
+class GradientKernel(Kernel, Tunable):
     """A kernel that needs the gradient; wrap it in `Adaptive` rather than choosing its scale.
 
     Attributes:

@@ -103,8 +103,8 @@ class Kernel(ABC):
         """
 
 
-class TunableKernel(Kernel):
-    """A kernel whose steps have a scale and a shape that `Adaptive` can learn."""
+class Tunable(ABC):
+    """What a kernel has whose steps have a scale and a shape that `Adaptive` can learn."""
 
     @abstractmethod
     def target(self, size: int) -> float:
@@ -115,7 +115,7 @@ class TunableKernel(Kernel):
         """Scale that serves best for a standard normal density in so many dimensions."""
 
     @abstractmethod
-    def tuned(self, scale: jax.Array, factor: jax.Array) -> "TunableKernel":
+    def tuned(self, scale: jax.Array, factor: jax.Array) -> Any:
         """Return the kernel with a scale `()` for densities of covariance L L', L `(x, x)` lower."""
 
 

@@ -177,27 +177,40 @@ def change_points(most: int, places: int, reach: int = 1) -> dict[str, Jump]:
     """
     for name, value in (("most", most), ("places", places), ("reach", reach)):
         checks.positive_integer(f"change_points {name}", value)
-    grid = jnp.arange(places)
-
-    def spans(model: jax.Array, place: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Which level ends at a place, and the lengths of the spans before and after it."""
-        before = jnp.max(jnp.where((model > 0) & (grid < place), grid + 1, 0))
-        after = jnp.min(jnp.where((model > 0) & (grid > place), grid + 1, places + 1))
-        return jnp.sum(jnp.where(grid < place, model, 0)), place + 1 - before, after - place - 1
 
     def birth(model: jax.Array, x: jax.Array, u: jax.Array, place: jax.Array) -> Any:
-        level, left, right = spans(model, place)
+        level, left, right = _spans(model, place)
         log_ratio, share = jnp.log(u[0]) - jnp.log1p(-u[0]), left / (left + right)
         low, high = x[level] * jnp.exp((1 - share) * log_ratio), x[level] * jnp.exp(-share * log_ratio)
         return model.at[place].set(1), _inserted(x.at[level].set(high), level, low), u[:0], place
 
     def death(model: jax.Array, x: jax.Array, u: jax.Array, place: jax.Array) -> Any:
-        level, left, right = spans(model, place)
+        level, left, right = _spans(model, place)
         low, high = x[level], x[level + 1]
         share = left / (left + right)
         merged = jnp.exp(share * jnp.log(low) + (1 - share) * jnp.log(high))
         return model.at[place].set(0), _removed(x.at[level + 1].set(merged), level), (low / (low + high))[None], place
 
+    def free(model: jax.Array, x: jax.Array) -> jax.Array:
+        return jnp.where((model == 0) & (jnp.sum(model) < most), 0.0, -jnp.inf)
+
+    return {
+        "birth": Jump(birth, "death", Uniform(jnp.zeros(1), jnp.ones(1)), free),
+        "death": Jump(death, "birth", None, lambda model, x: jnp.where(model > 0, 0.0, -jnp.inf)),
+        "shift": _shift(places, reach),
+    }
+
+
+def _spans(model: jax.Array, place: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Which level ends at a place, and the lengths of the spans before and after it."""
+    grid = jnp.arange(model.shape[0])
+    before = jnp.max(jnp.where((model > 0) & (grid < place), grid + 1, 0))
+    after = jnp.min(jnp.where((model > 0) & (grid > place), grid + 1, model.shape[0] + 1))
+    return jnp.sum(jnp.where(grid < place, model, 0)), place + 1 - before, after - place - 1
+
+
+def _shift(places: int, reach: int) -> Jump:
+    """Return the jump that moves a change without passing another."""
     steps = jnp.array([step for step in range(-reach, reach + 1) if step])
 
     def landing(choice: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -218,11 +231,4 @@ def change_points(most: int, places: int, reach: int = 1) -> dict[str, Jump]:
         alone = count[jnp.clip(high, 0, places - 1) + 1] - count[jnp.clip(low, 0, places - 1)] == 1
         return jnp.where(inside & clear & alone & (model[here] > 0), 0.0, -jnp.inf)
 
-    def free(model: jax.Array, x: jax.Array) -> jax.Array:
-        return jnp.where((model == 0) & (jnp.sum(model) < most), 0.0, -jnp.inf)
-
-    return {
-        "birth": Jump(birth, "death", Uniform(jnp.zeros(1), jnp.ones(1)), free),
-        "death": Jump(death, "birth", None, lambda model, x: jnp.where(model > 0, 0.0, -jnp.inf)),
-        "shift": Jump(shift, "shift", None, shiftable),
-    }
+    return Jump(shift, "shift", None, shiftable)

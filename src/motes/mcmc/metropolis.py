@@ -15,7 +15,7 @@ from motes.core import checks, random
 from motes.core.record import record
 from motes.laws.conditional import Conditional
 from motes.laws.law import Law, as_law
-from motes.mcmc.interface import Info, Kernel, LogDensity, State, TunableKernel, settle
+from motes.mcmc.interface import Info, Kernel, LogDensity, State, Tunable, settle
 
 
 class Proposing(Kernel):
@@ -35,7 +35,7 @@ class Proposing(Kernel):
 
 
 @record
-class RandomWalkMetropolis(Proposing, TunableKernel):
+class RandomWalkMetropolis(Proposing, Tunable):
     """Gaussian steps about the present position; all its arrays are taken as one vector of x numbers.
 
     Attributes:

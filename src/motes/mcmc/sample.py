@@ -75,7 +75,7 @@ def sample(
             states, info, out = jax.block_until_ready(_advance(key, kernel, target, states, jnp.int32(begun), count))
             begun += count
             if keep:
-                kept.append(Chains(*out, info, states, jnp.int32(begun), kernel.moves, repr(kernel)))
+                kept.append(Chains(out[0], out[1], info, states, jnp.int32(begun), kernel.moves, repr(kernel)))
     except KeyboardInterrupt:
         if not kept:
             raise

@@ -1,0 +1,5 @@
+"""Rank 6: Monte Carlo without time: expectations, integrals, draws from densities, evidence, maxima."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,14 @@
+from .adaptive import Adapted as Adapted
+from .adaptive import adaptive_importance_sampling as adaptive_importance_sampling
+from .annealing import Annealed as Annealed
+from .annealing import anneal as anneal
+from .estimate import Estimate as Estimate
+from .importance import importance_sampling as importance_sampling
+from .importance import multiple_importance_sampling as multiple_importance_sampling
+from .plain import expectation as expectation
+from .plain import integral as integral
+from .rejection import Accepted as Accepted
+from .rejection import rejection_sampling as rejection_sampling
+from .tempering import Tempered as Tempered
+from .tempering import Tempering as Tempering
+from .tempering import temper as temper
