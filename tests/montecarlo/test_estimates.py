@@ -166,7 +166,7 @@ REFUSED = [
     (lambda: montecarlo.multiple_importance_sampling(0, polynomial, LAW, [WIDE], [1, 2]), "one number for each of the 1 prop"),
     (lambda: montecarlo.adaptive_importance_sampling(0, polynomial, LAW, WIDE, 10), "first: expected a Gaussian or a Mixture"),
     (lambda: montecarlo.adaptive_importance_sampling(0, polynomial, lambda x: -jnp.inf + 0 * x[0], LAW, 10), "reaches where"),
-    (lambda: montecarlo.temper(0, LAW, lambda x: -jnp.inf + 0 * x[0], 10, montecarlo.Tempering(KERNEL)), "temper prior: expected one under"),
+    (lambda: montecarlo.temper(0, LAW, lambda x: -jnp.inf + 0 * x[0], 10, montecarlo.Tempering(KERNEL)), "temper prior: expected one"),
     (lambda: montecarlo.temper(0, LAW, lambda x: 0 * x[0], 10, 3), "temper how: expected"),
     (lambda: montecarlo.temper(0, LAW, lambda x: 0 * x[0], 10, montecarlo.Tempering(KERNEL, ess=2.0)), "Tempering ess: expected a number"),
     (lambda: montecarlo.anneal(0, 3, LAW.log_prob, jnp.zeros(2)), "anneal kernel: expected a kernel"),

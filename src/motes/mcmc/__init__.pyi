@@ -31,4 +31,5 @@ from .metropolis import IndependenceMetropolis as IndependenceMetropolis
 from .metropolis import MetropolisHastings as MetropolisHastings
 from .metropolis import RandomWalkMetropolis as RandomWalkMetropolis
 from .multiple_try import MultipleTry as MultipleTry
+from .pseudo_marginal import PseudoMarginal as PseudoMarginal
 from .reversible_jump import ReversibleJump as ReversibleJump

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
 from motes.core import random
 from motes.core.record import record, replace
@@ -125,6 +126,22 @@ def settle(key: jax.Array, state: State, proposed: State, log_ratio: jax.Array) 
     chance = jnp.where(invalid, 0, jnp.exp(jnp.minimum(log_ratio, 0)))
     taken = random.uniform(key, (), chance.dtype) < chance
     return jax.tree.map(lambda new, old: jnp.where(taken, new, old), proposed, state), Info.of_one(chance, invalid)
+
+
+class Proposing(Kernel):
+    """A kernel that proposes one position; subclasses write `proposed`."""
+
+    @abstractmethod
+    def proposed(self, key: jax.Array, x: jax.Array, t: Any) -> tuple[jax.Array, Any]:
+        """Return a new position `(x,)` and the log of the proposals' densities, backward over forward."""
+
+    def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+        """Make one step."""
+        x, rebuild = ravel_pytree(state.position)
+        new, log_proposals = self.proposed(random.child(key, random.PREDICT), x, t)
+        position = rebuild(new)
+        there = State(position, log_density(position))
+        return settle(random.child(key, random.UPDATE), state, there, there.log_density - state.log_density + log_proposals)
 
 
 def take(position: Position, part: Any) -> Any:

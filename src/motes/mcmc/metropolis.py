@@ -4,7 +4,6 @@
 2. Go there with probability min(1, p(x*) pi(x|x*) / (p(x) pi(x*|x))), else stay (equations 5 and 6).
 """
 
-from abc import abstractmethod
 from typing import Any
 
 import jax
@@ -15,23 +14,7 @@ from motes.core import checks, random
 from motes.core.record import record
 from motes.laws.conditional import Conditional
 from motes.laws.law import Law, as_law
-from motes.mcmc.interface import Info, Kernel, LogDensity, State, Tunable, settle
-
-
-class Proposing(Kernel):
-    """A kernel that proposes one position; subclasses write `proposed`."""
-
-    @abstractmethod
-    def proposed(self, key: jax.Array, x: jax.Array, t: Any) -> tuple[jax.Array, Any]:
-        """Return a new position `(x,)` and the log of the proposals' densities, backward over forward."""
-
-    def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
-        """Make one step."""
-        x, rebuild = ravel_pytree(state.position)
-        new, log_proposals = self.proposed(random.child(key, random.PREDICT), x, t)
-        position = rebuild(new)
-        there = State(position, log_density(position))
-        return settle(random.child(key, random.UPDATE), state, there, there.log_density - state.log_density + log_proposals)
+from motes.mcmc.interface import LogDensity, Proposing, Tunable
 
 
 @record

@@ -1,0 +1,95 @@
+"""Particle Gibbs with ancestor sampling (Andrieu, Doucet, Holenstein 2010; Lindsten, Jordan, Schoen 2014).
+
+1. Run a particle filter in which one particle follows the present path.
+2. At each step draw a new ancestor for it, in proportion to w p(x_t | x_{t-1}), which lets its past change.
+3. Draw one of the particles of the last step by weight; its ancestry is the new path.
+
+In a `mcmc.Cycle` with a kernel for the parameters given the path it draws both.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, logspace, random
+from motes.core.record import record, static
+from motes.filters.interface import as_particle_model, ask_density
+from motes.laws.cloud import draw
+from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State
+from motes.models.state_space import StateSpaceModel, at_step
+from motes.parameters.posterior import PathPosterior
+from motes.resampling.schemes import Multinomial, Scheme
+
+
+@record
+class ParticleGibbs(Kernel):
+    """Draws a path given the parameters; needs a `parameters.PathPosterior`.
+
+    Attributes:
+        n: particles, that of the path included.
+        scheme: with a conditional form: `Multinomial`, `Systematic` or `Killing`.
+    """
+
+    n: int = static()
+    scheme: Scheme = Multinomial()
+
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is less than 2.
+        """
+        checks.positive_integer("ParticleGibbs n", self.n)
+        if self.n < 2:
+            checks.refuse("ParticleGibbs n", "at least 2 (one follows the path)", self.n)
+
+    def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
+        """Ask for a posterior of parameters and path, and dynamics with a density."""
+        if not isinstance(log_density, PathPosterior):
+            checks.refuse("ParticleGibbs log_density", "a mo.parameters.PathPosterior", type(log_density).__name__)
+        self._model(log_density, position)
+
+    def _model(self, posterior: Any, position: Position) -> StateSpaceModel:
+        model = as_particle_model("ParticleGibbs", posterior.model(position["theta"]), transition_density=False)
+        ask_density("ParticleGibbs dynamics", model.dynamics, " (ancestors of the path are drawn by it)")
+        return model
+
+    def step(self, key: jax.Array, log_density: Any, state: State, t: Any) -> tuple[State, Info]:
+        """Draw a new path."""
+        old = state.position["path"]
+        path = self.path(key, self._model(log_density, state.position), log_density, old)
+        position = {**state.position, "path": path}
+        # how often the path of a step is another one: the share that tells how well it mixes
+        changed = jnp.mean(jnp.any(path != old, axis=1), dtype=jnp.result_type(float))
+        return State(position, log_density(position)), Info.of_one(changed)
+
+    def path(self, key: jax.Array, model: StateSpaceModel, posterior: PathPosterior, old: jax.Array) -> jax.Array:
+        """Draw a path `(t, x)` given another one, with the path's law left as it is."""
+
+        def weighed(X: jax.Array, t: Any) -> jax.Array:
+            likelihood = model.sensor.log_prob(posterior.ys[t], X, at_step(posterior.inputs, t), t)
+            return logspace.normalize(jnp.where(jnp.isnan(likelihood), -jnp.inf, likelihood))[0]
+
+        def ahead(held: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+            X, log_weights = held
+            step, u = random.step_key(key, t), at_step(posterior.inputs, t)
+            toward = jnp.broadcast_to(old[t][:, None], X.shape)
+            linked = logspace.normalize(log_weights + model.dynamics.log_prob(toward, X, u, t))[0]
+            parent = draw(random.child(step, random.INITIAL), linked, 1)[0]
+            ancestors = self.scheme.conditional_ancestors(random.child(step, random.RESAMPLE), log_weights, parent)
+            moved = model.dynamics.sample(random.child(step, random.PREDICT), X[:, ancestors], u, t).at[:, 0].set(old[t])
+            return (moved, weighed(moved, t)), (moved, ancestors)
+
+        opening = random.step_key(key, 0)
+        first = model.initial.sample(random.child(opening, random.INITIAL), self.n).at[:, 0].set(old[0])
+        steps = jnp.arange(1, old.shape[0], dtype=jnp.int32)
+        (_, log_weights), (clouds, ancestors) = jax.lax.scan(ahead, (first, weighed(first, 0)), steps)
+        chosen = draw(random.child(opening, random.RESAMPLE), log_weights, 1)[0]
+
+        def back(own: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            cloud, parents = row
+            return parents[own], cloud[:, own]
+
+        own, later = jax.lax.scan(back, chosen, (clouds, ancestors), reverse=True)
+        return jnp.concatenate([first[:, own][None], later])

@@ -1,0 +1,188 @@
+"""Every way to the parameters reaches the exact posterior, has uniform ranks, and says what it cannot use."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import motes as mo
+from motes.core import random
+from motes.core.checks import CollapseError, MotesError
+
+mcmc, parameters = mo.mcmc, mo.parameters
+STEPS = 12
+PRIOR = mo.Gaussian(jnp.array([0.0, -0.5]), jnp.array([[1.0, 0.2], [0.2, 0.25]]))
+
+
+def model(theta):
+    """Level and log standard deviation of an autoregression, seen with noise."""
+    return mo.StateSpaceModel(mo.Gaussian(jnp.zeros(1), jnp.eye(1)),
+                              mo.AdditiveGaussian(lambda x, u, t: 0.8 * x + theta[0], jnp.exp(2 * theta[1]) * jnp.eye(1)),
+                              mo.AdditiveGaussian(lambda x, u, t: x, 0.5 * jnp.eye(1)))  # fmt: skip
+
+
+YS = jnp.asarray(mo.simulate(3, model(jnp.array([0.5, -0.7])), STEPS)[1]).at[4].set(jnp.nan)
+BY_PARTICLES = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=60), YS)
+PATHS = parameters.PathPosterior(PRIOR, model, YS)
+GIBBS = mcmc.Cycle([parameters.ParticleGibbs(15), mcmc.Repeat(mcmc.Block("theta", mcmc.RandomWalkMetropolis(jnp.array([0.2, 0.4]))), 4)])
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """Mean and covariance of the parameters, and the evidence, on a grid with the Kalman filter."""
+    posterior = parameters.Posterior(PRIOR, model, mo.KalmanFilter(), YS)
+    level, log_sd = (np.linspace(-1.0, 2.0, 121), np.linspace(-3.2, 1.8, 121))
+    points = jnp.asarray(np.stack(np.meshgrid(level, log_sd, indexing="ij"), axis=-1).reshape(-1, 2), jnp.float32)
+    log_p = np.asarray(jax.jit(jax.vmap(posterior))(points), np.float64)
+    weights = np.exp(log_p - log_p.max())
+    evidence = np.log(weights.sum() * (level[1] - level[0]) * (log_sd[1] - log_sd[0])) + log_p.max()
+    weights /= weights.sum()
+    mean = weights @ np.asarray(points)
+    off = np.asarray(points) - mean
+    return mean, (off * weights[:, None]).T @ off, evidence
+
+
+def close(draws, exact, allowed=0.0):
+    """Compare means and mean squares (chain, draw, 2) with the exact ones, to 4.9 standard errors and what is allowed on top."""
+    mean, cov, _ = exact
+    for k in range(2):
+        for power, truth in ((1, mean[k]), (2, cov[k, k] + mean[k] ** 2)):
+            values = np.asarray(draws)[..., k].astype(float) ** power
+            assert abs(values.mean() - truth) < 4.9 * mcmc.standard_error(values) + allowed * np.sqrt(cov[k, k])
+
+
+def test_particle_marginal_metropolis_hastings(exact):
+    kernel = mcmc.Adaptive(mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), steps=500)
+    chains = mo.sample(0, kernel, BY_PARTICLES, BY_PARTICLES.starts, draws=3_000, chains=8, burn_in=500)
+    close(chains.positions, exact)
+
+
+def test_particle_gibbs(exact):
+    chains = mo.sample(0, GIBBS, PATHS, PATHS.start, draws=2_000, chains=8, burn_in=200)
+    close(chains.positions["theta"], exact)
+    # and the path, given the parameters' law: its mean lies within the measurements' reach
+    assert chains.acceptance["ParticleGibbs"] > 0.8
+
+
+@pytest.mark.parametrize("scheme", [mo.Multinomial(), mo.Systematic(), mo.Killing()], ids=lambda scheme: type(scheme).__name__)
+def test_paths_given_parameters_have_the_smoothers_law(scheme):
+    theta = jnp.array([0.4, -0.6])
+    fixed = parameters.PathPosterior(mo.Gaussian(theta, 1e-12 * jnp.eye(2)), lambda _: model(theta), YS)
+    chains = mo.sample(1, parameters.ParticleGibbs(8, scheme), fixed, fixed.start, draws=2_000, chains=8, burn_in=100)
+    history = mo.run(0, mo.KalmanFilter(), model(theta), YS)
+    smoothed = mo.smooth(0, mo.RauchTungStriebelSmoother(), model(theta), history)
+    paths = np.asarray(chains.positions["path"])[..., 0].astype(float)
+    for t in range(STEPS):
+        for power, truth in ((1, smoothed.mean[t, 0]), (2, smoothed.cov[t, 0, 0] + smoothed.mean[t, 0] ** 2)):
+            values = paths[..., t] ** power
+            assert abs(values.mean() - float(truth)) < 5.3 * mcmc.standard_error(values)
+
+
+def test_smc_squared(exact):
+    runs = [parameters.smc_squared(seed, BY_PARTICLES, 400) for seed in range(3)]
+    mean, cov, evidence = exact
+    centers = np.array([run.mean[-1] for run in runs])
+    # a few hundred effective parameters each
+    assert (np.abs(centers.mean(axis=0) - mean) < 0.15 * np.sqrt(np.diag(cov))).all()
+    assert abs(np.mean([run.log_evidence[-1] for run in runs]) - evidence) < 0.3
+    first = runs[0]
+    assert first.mean.shape == (STEPS, 2) and first.cov.shape == (STEPS, 2, 2) and np.isfinite(first.acceptance).any()
+    np.testing.assert_allclose(np.diag(first.cov[-1]), np.diag(cov), rtol=0.5)
+
+
+def test_liu_west_comes_near(exact):
+    found = parameters.liu_west(0, PATHS, 5_000)
+    mean, cov, evidence = exact
+    assert (np.abs(found.mean[-1, :2] - mean) < 0.3 * np.sqrt(np.diag(cov))).all()
+    assert abs(found.log_likelihood - evidence) < 0.4
+
+
+def test_iterated_filtering_climbs_to_the_maximum():
+    posterior = parameters.Posterior(PRIOR, model, mo.KalmanFilter(), YS)
+
+    def likelihood(theta):
+        return posterior(theta) - PRIOR.log_prob(theta)
+
+    found = parameters.iterated_filtering(0, PATHS, 500, 0.1, rounds=25)
+    grid = jnp.stack(jnp.meshgrid(jnp.linspace(-0.5, 1.5, 41), jnp.linspace(-3.0, 1.0, 41), indexing="ij"), axis=-1).reshape(-1, 2)
+    best = float(jnp.max(jax.vmap(likelihood)(grid)))
+    assert float(likelihood(jnp.asarray(found.theta))) > best - 0.2
+    assert found.means.shape == (25, 2) and found.spread[-1].max() < found.spread[0].max()
+
+
+def test_the_likelihood_has_a_gradient():
+    posterior = parameters.Posterior(PRIOR, model, mo.KalmanFilter(), YS)
+    at = jnp.array([0.3, -0.4])
+    slope = jax.grad(posterior)(at)
+    for k in range(2):
+        step = 1e-2 * jnp.eye(2)[k]
+        np.testing.assert_allclose(slope[k], (posterior(at + step) - posterior(at - step)) / 2e-2, rtol=0.05, atol=0.02)
+    chains = mo.sample(0, mcmc.Adaptive(mcmc.HMC(leaps=5)), posterior, posterior.starts, draws=200, chains=2, burn_in=200)
+    assert np.isfinite(np.asarray(chains.log_density)).all()
+
+
+def ranks(kernel, make, start, theta_of, worlds=400, draws=15, apart=6):
+    """Draw parameters and data, run a chain on each, and return the ranks of the true parameters among the chain's draws."""
+
+    def world(key):
+        theta = PRIOR.sample(random.child(key, 2), 1)[:, 0]
+        ys = mo.simulate(random.child(key, 3), model(theta), STEPS)[1]
+        target = make(ys)
+        state = kernel.init(random.child(key, 4), target, start(target, random.child(key, 5), theta))
+
+        def again(state, t):
+            return kernel.step(random.step_key(random.child(key, 6), t), target, state, t)[0], theta_of(state.position)
+
+        path = jax.lax.scan(again, state, jnp.arange(apart * (draws + 10)))[1][10 * apart :: apart]
+        return jnp.sum(path < theta, axis=0)
+
+    keys = jax.vmap(lambda k: random.step_key(random.as_key(8), k))(jnp.arange(worlds))
+    return np.asarray(jax.jit(jax.vmap(world))(keys))
+
+
+@pytest.mark.optimized
+@pytest.mark.parametrize("name", ["PMMH", "particle Gibbs"])
+def test_ranks_of_the_truth_are_uniform(name):
+    """Simulation-based calibration (Talts et al. 2018); 16 ranks from 400 worlds."""
+    from motes.core.record import replace
+
+    if name == "PMMH":
+        kernel = mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis(jnp.array([0.25, 0.4])))
+        found = ranks(kernel, lambda ys: replace(BY_PARTICLES, ys=ys), lambda target, key, theta: theta, lambda position: position)
+    else:
+        found = ranks(GIBBS, lambda ys: replace(PATHS, ys=ys), lambda target, key, theta: {**target.start(key), "theta": theta},
+                      lambda position: position["theta"])  # fmt: skip
+    for k in range(2):
+        assert stats.chisquare(np.bincount(found[:, k], minlength=16)).pvalue > 1e-6
+
+
+REFUSED = [
+    (lambda: parameters.Posterior(3, model, mo.KalmanFilter(), YS), "Posterior prior: expected a law"),
+    (lambda: parameters.Posterior(PRIOR, 3, mo.KalmanFilter(), YS), "Posterior model: expected a function of the parameters"),
+    (lambda: parameters.Posterior(PRIOR, model, 3, YS), "Posterior filter: expected a filter with a likelihood"),
+    (lambda: parameters.Posterior(PRIOR, model, mo.CostReferenceParticleFilter(n=10), YS), "got CostReferenceParticleFilter"),
+    (lambda: parameters.Posterior(PRIOR, model, mo.KalmanFilter(), YS[:, 0]), "ys: expected shape"),
+    (lambda: parameters.ParticleGibbs(1), "ParticleGibbs n: expected at least 2"),
+    (lambda: mcmc.PseudoMarginal(mcmc.NUTS()), "PseudoMarginal kernel: expected RandomWalkMetropolis"),
+    (lambda: mo.sample(0, mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), lambda x: -x[0] ** 2, jnp.zeros(1)), "expected one with a method"),
+    (lambda: mo.sample(0, parameters.ParticleGibbs(5), lambda p: 0 * p["theta"][0], {"theta": jnp.zeros(2)}), "a mo.parameters.Path"),
+    (lambda: parameters.smc_squared(0, PATHS, 10), "smc_squared posterior: expected a mo.parameters.Posterior"),
+    (lambda: parameters.liu_west(0, PATHS, 10, discount=1.5), "liu_west discount: expected a number between"),
+    (lambda: parameters.liu_west(0, 3, 10), "liu_west given: expected"),
+    (lambda: parameters.iterated_filtering(0, PATHS, 10, -1.0), "iterated_filtering deviations: expected positive"),
+]
+
+
+@pytest.mark.parametrize("make, message", REFUSED, ids=[message[:40] for _, message in REFUSED])
+def test_refusals(make, message):
+    with pytest.raises(MotesError, match=message):
+        make()
+
+
+def test_collapses_are_told():
+    far = YS.at[3].set(1e6)
+    with pytest.raises(CollapseError, match="smc_squared prior: expected parameters that explain .* at step 3"):
+        parameters.smc_squared(0, parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, on_collapse="predict"), far), 10)
+    with pytest.raises(CollapseError, match="iterated_filtering given"):
+        parameters.iterated_filtering(0, parameters.PathPosterior(PRIOR, model, far), 50, 0.1)
