@@ -103,6 +103,10 @@ class Posterior(Parametric):
 class PathPosterior(Parametric):
     """Log density of parameters and path together; positions are {"theta": `(p,)`, "path": `(t, x)`}."""
 
+    def __init__(self, prior: Any, model: Callable[[jax.Array], Any], ys: Any, inputs: Any = None):
+        """Check that the parts fit each other; see `Parametric`."""
+        Parametric.__init__(self, prior, model, ys, inputs)
+
     def __call__(self, position: dict[str, jax.Array]) -> jax.Array:
         """Return log p(theta) + log p(path | theta) + log p(ys | path, theta)."""
         theta, path = position["theta"], position["path"]
