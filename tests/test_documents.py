@@ -9,7 +9,8 @@ import pytest
 import motes as mo
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")),
+             *sorted((ROOT / "examples").rglob("*.md"))]  # fmt: skip
 
 
 def test_readme_example(tmp_path, capsys):
@@ -24,8 +25,10 @@ def test_readme_example(tmp_path, capsys):
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_public_names_exist(document):
-    for name in set(re.findall(r"\bmo\.([A-Za-z_]+)", document.read_text())):
+    for name, inner in set(re.findall(r"\bmo\.([A-Za-z_]+)(?:\.([A-Za-z_]+))?", document.read_text())):
         assert hasattr(mo, name), name
+        if name in ("mcmc", "montecarlo", "parameters") and inner:
+            assert hasattr(getattr(mo, name), inner), f"{name}.{inner}"
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -44,6 +47,7 @@ def test_pages_are_what_the_methods_say_of_themselves():
 
 def test_every_public_name_is_documented():
     prose = "".join(document.read_text() for document in DOCUMENTS)
-    for name in mo.__all__:
-        assert getattr(getattr(mo, name), "__doc__", None), name
-        assert re.search(rf"\b{name}\b", prose), f"{name}: not in README.md or docs/"
+    for room in (mo, mo.mcmc, mo.montecarlo, mo.parameters):
+        for name in room.__all__:
+            assert getattr(getattr(room, name), "__doc__", None), name
+            assert re.search(rf"\b{name}\b", prose), f"{name}: not in README.md or docs/"

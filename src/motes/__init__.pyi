@@ -9,6 +9,7 @@ from .core.checks import CollapseError as CollapseError
 from .core.checks import FileError as FileError
 from .core.checks import MissingExtraError as MissingExtraError
 from .core.checks import MotesError as MotesError
+from .core.checks import MotesWarning as MotesWarning
 from .core.findings import Diagnosis as Diagnosis
 from .core.findings import Finding as Finding
 from .costs.calibrate import Calibration as Calibration

@@ -91,3 +91,10 @@ def test_terrain_pictures():
     assert png(figure)[:4] == b"\x89PNG"
     errors = error_figure(np.arange(20.0), {"one": line, "two": np.zeros(20)}, np.full(20, 30.0), 150.0)
     assert errors.axes[0].get_yscale() == "log" and png(errors)[:4] == b"\x89PNG"
+
+
+def test_chains():
+    chains = mo.sample(0, mo.mcmc.RandomWalkMetropolis(1.0), lambda x: -0.5 * jnp.sum(x**2), jnp.zeros(3), draws=100, chains=3, burn_in=20)
+    figure = mo.plot(chains)
+    assert len(figure.axes) == 6 and len(figure.axes[0].lines) == 3
+    assert [axes.get_title() for axes in figure.axes[::2]] == ["x[0]", "x[1]", "x[2]"]

@@ -30,6 +30,7 @@ from .jumps import split_merge as split_merge
 from .metropolis import IndependenceMetropolis as IndependenceMetropolis
 from .metropolis import MetropolisHastings as MetropolisHastings
 from .metropolis import RandomWalkMetropolis as RandomWalkMetropolis
+from .models import frequencies as frequencies
 from .multiple_try import MultipleTry as MultipleTry
 from .pseudo_marginal import PseudoMarginal as PseudoMarginal
 from .reversible_jump import ReversibleJump as ReversibleJump

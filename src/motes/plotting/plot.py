@@ -5,8 +5,10 @@ from typing import Any
 from motes.bounds.bound import Bound
 from motes.core import checks
 from motes.filters.history import History
+from motes.mcmc.chains import Chains
 from motes.planning.plan import Plan
 from motes.plotting.bound import bound_figure
+from motes.plotting.chains import chains_figure
 from motes.plotting.history import history_figure
 from motes.plotting.plan import plan_figure
 from motes.plotting.study import study_figure
@@ -17,7 +19,7 @@ def plot(result: Any, truth: Any = None, bound: Any = None) -> Any:
     """Draw a result.
 
     Args:
-        result: a `History` that kept means and covariances, a `Bound`, a `StudyResult`, or a `Plan`.
+        result: a `History` that kept means and covariances, a `Bound`, a `StudyResult`, a `Plan`, or `Chains`.
         truth: true states `(t, x)`, to draw beside the estimates of a history.
         bound: with `cov` `(t, x, x)`, to draw beside the errors of a study.
 
@@ -38,4 +40,6 @@ def plot(result: Any, truth: Any = None, bound: Any = None) -> Any:
         return study_figure(result, bound)
     if isinstance(result, Plan):
         return plan_figure(result)
-    checks.refuse("plot result", "a History, a Bound, a StudyResult or a Plan", type(result).__name__)
+    if isinstance(result, Chains):
+        return chains_figure(result)
+    checks.refuse("plot result", "a History, a Bound, a StudyResult, a Plan or Chains", type(result).__name__)

@@ -37,7 +37,7 @@ LITTLE = 1e-6
 """m^2, added to covariances: a cloud of equal particles has none."""
 LAST = 100
 """Fixes at the end over which errors are judged."""
-COLUMNS = ("filter", "lost", "paper's rule", "RMSE, m", "of bound", "NEES / 2", "in band, %", "ms/step")
+COLUMNS = ("filter", "lost", "paper's rule", "RMSE, m", "of bound", "NEES / 2", "in band, %", "NEES / 2, all", "ms/step")
 
 
 class Rival(NamedTuple):
@@ -149,7 +149,8 @@ def compare(flights: Sequence[Flight], rivals: dict[str, Rival], seed: int = 0, 
     """Fly all filters on the same flights over one true track and tell how they did.
 
     RMSE, bound and NEES are over the last `LAST` fixes of the runs that were not lost at the end; "in band" is the share of these fixes
-    at which the NEES, averaged over the runs, lies within its 99 percent chi-square band.
+    at which the NEES, averaged over the runs, lies within its 99 percent chi-square band; "all" is the NEES of all runs, which tells
+    whether a filter that is far off knows it.
 
     Args:
         flights: simulated, all over the same true track.
@@ -183,13 +184,13 @@ def judged(name: str, flown: Flown, bound: np.ndarray) -> tuple[str | int | floa
     half = far.shape[1] // 2
     outside = np.einsum("rti,tij,rtj->rt", flown.errors, np.linalg.inv(bound), flown.errors)[:, half:] > chi2.ppf(WITHIN, 2)
     strayed = sum(any(sum(1 for _ in same) >= IN_A_ROW for out, same in groupby(run) if out) for run in outside)
-    told = (name, int(lost.sum()), strayed)
+    told, rest = (name, int(lost.sum()), strayed), (float(flown.nees[:, -LAST:].mean() / 2), 1e3 * flown.seconds)
     kept = ~lost
     if not kept.any():
-        return *told, None, None, None, None, 1e3 * flown.seconds
+        return *told, None, None, None, None, *rest
     rmse = np.sqrt(np.mean(far[kept, -LAST:] ** 2))
     averages = flown.nees[kept, -LAST:].mean(axis=0)
     low, high = chi_square_band(2, int(kept.sum()))
     in_band = 100 * np.mean((averages > low) & (averages < high))
     of_bound = rmse / np.sqrt(np.mean(least[-LAST:] ** 2))
-    return *told, float(rmse), float(of_bound), float(averages.mean() / 2), float(in_band), 1e3 * flown.seconds
+    return *told, float(rmse), float(of_bound), float(averages.mean() / 2), float(in_band), *rest
