@@ -50,7 +50,7 @@ def test_changes_of_yearly_counts_equal_the_exact_ones(coal, recorded):
     else:
         counts = np.random.default_rng(2).poisson([4.0] * 14 + [1.0] * 16 + [2.5] * 10)
     log_density, kernel, start = coal["problem"](counts)
-    chains = mo.sample(1, mo.mcmc.Repeat(kernel, 4), log_density, start, draws=1_500, chains=16, burn_in=500)
+    chains = mo.sample(1, mo.mcmc.Repeat(kernel, 4), log_density, start, draws=800, chains=12, burn_in=400)
     number, first = coal["exact"](counts, coal["log_prior"]())
     model = np.asarray(chains.positions.model)
     for k in np.flatnonzero(number > 0.01):
@@ -65,7 +65,7 @@ def test_changes_of_yearly_counts_equal_the_exact_ones(coal, recorded):
 def test_a_mixture_without_data_has_uniformly_many_components():
     galaxies = runpy.run_path(str(EXAMPLES / "galaxies" / "run.py"))
     log_density, kernel, start = galaxies["problem"](np.zeros(0))
-    chains = mo.sample(0, mo.mcmc.Repeat(kernel, 20), log_density, start, draws=1_000, chains=16, burn_in=200)
+    chains = mo.sample(0, mo.mcmc.Repeat(kernel, 20), log_density, start, draws=300, chains=16, burn_in=100)
     for k in range(1, 11):
         share = 1.0 * (np.asarray(chains.positions.model) == k)
         assert abs(share.mean() - 0.1) < 4.9 * mo.mcmc.standard_error(share) + 1e-3
