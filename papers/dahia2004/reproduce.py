@@ -2,8 +2,9 @@
 
     python papers/dahia2004/reproduce.py [nine fifteen equal maps flat] [--runs 100] [--data FOLDER]
 
-Tables and pictures go to out/dahia2004. All of it takes an hour and a half with MOTES_ENGINE=native, most of it for `maps` and `flat`; leave
-the machine alone meanwhile. These two need elevation files: FOLDER holds dted/w122/n36.dt1, dted/w121/n36.dt1, hgt/N44E005.hgt and geotiff/srtm_bigtujunga30m_utm11.tif.
+Tables and pictures go to out/dahia2004. All of it takes an hour and a half with MOTES_ENGINE=native, most of it for `maps` and `flat`;
+leave the machine alone meanwhile. These two need elevation files: FOLDER holds dted/w122/n36.dt1, dted/w121/n36.dt1, hgt/N44E005.hgt and
+geotiff/srtm_bigtujunga30m_utm11.tif.
 """
 
 import argparse
