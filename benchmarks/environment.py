@@ -11,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-PEERS = {"particles": "apart", "smcx": "", "cuthbert": "", "filterpy": "", "dynamax": "", "stonesoup": ""}
+PEERS = {"particles": "apart", "smcx": "", "cuthbert": "", "filterpy": "", "dynamax": "", "stonesoup": "", "blackjax": "", "emcee": ""}
 """Name in the registry, and the environment of its own that it needs, if any: with NumPy 2 one would get an old `particles`."""
 
 TOGETHER = ("jax>=0.10", "numpy>=2")

@@ -160,6 +160,7 @@ def text(results: dict) -> str:
         f"load before: {machine['load before']}. Engines run in turns, each in its own process, never two at once; medians of warm runs.",
         "Versions: " + ", ".join(f"{name} {version}" for name, version in results["versions"].items()) + ".",
         "What each of our filters costs beside its operations: [FILTERS.md](FILTERS.md).",
+        "Effective draws per second of Markov chains, beside blackjax and emcee: [CHAINS.md](CHAINS.md).",
         "## Asked and measured",
         target_table(records),
         "## Where we lose",

@@ -117,6 +117,7 @@ from .resampling.schemes import Systematic as Systematic
 from .resampling.slotwise import Killing as Killing
 from .resampling.slotwise import MetropolisResampling as MetropolisResampling
 from .resampling.slotwise import RejectionResampling as RejectionResampling
+from .resampling.sorted import Sorted as Sorted
 from .resampling.splitting import CommonKernel as CommonKernel
 from .resampling.splitting import SplitKernels as SplitKernels
 from .smoothers.backward_simulation import BackwardSimulationSmoother as BackwardSimulationSmoother

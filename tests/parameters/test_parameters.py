@@ -1,5 +1,7 @@
 """Every way to the parameters reaches the exact posterior, has uniform ranks, and says what it cannot use."""
 
+import os
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -56,6 +58,42 @@ def test_particle_marginal_metropolis_hastings(exact):
     kernel = mcmc.Adaptive(mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), steps=500)
     chains = mo.sample(0, kernel, BY_PARTICLES, BY_PARTICLES.starts, draws=3_000, chains=8, burn_in=500)
     close(chains.positions, exact)
+
+
+CORRELATED = mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis(jnp.array([0.2, 0.6])), renewed=0.1)
+
+
+def test_correlated_chains(exact):
+    posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, scheme=mo.Sorted()), YS)
+    chains = mo.sample(0, CORRELATED, posterior, posterior.starts, draws=4_000, chains=8, burn_in=500)
+    close(chains.positions, exact)
+
+
+def test_renewed_numbers_keep_most_of_the_likelihood():
+    longer = mo.simulate(4, model(jnp.array([0.5, -0.7])), 100)[1]
+    theta = jnp.array([0.4, -0.6])
+
+    def pairs(scheme):
+        posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=100, scheme=scheme), longer)
+
+        def one(key):
+            keys = CORRELATED._renewed(key, posterior, None)
+            again = CORRELATED._renewed(random.child(key, 3), posterior, jax.random.key_data(keys))
+            return jnp.stack([posterior.estimate(keys, theta), posterior.estimate(again, theta)])
+
+        return np.asarray(jax.jit(jax.vmap(one))(jax.vmap(lambda k: random.step_key(random.as_key(2), k))(jnp.arange(300)))).T
+
+    shared = np.corrcoef(pairs(mo.Sorted()))[0, 1]
+    assert shared > 0.7 and shared > np.corrcoef(pairs(mo.Systematic()))[0, 1] + 0.1
+
+
+def test_every_step_is_renewed_equally_often():
+    old = jnp.zeros((STEPS, 2), jnp.uint32)
+    keys = jax.vmap(lambda k: random.step_key(random.as_key(1), k))(jnp.arange(5_000))
+    kernel = mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis(), renewed=0.3)
+    changed = jax.vmap(lambda key: jnp.any(jax.random.key_data(kernel._renewed(key, BY_PARTICLES, old)) != 0, axis=1))(keys)
+    counts = np.asarray(changed).sum(axis=0)
+    assert np.abs(counts / 5_000 - 4 / 15).max() < 4.9 * np.sqrt(4 / 15 * 11 / 15 / 5_000)
 
 
 def test_particle_gibbs(exact):
@@ -122,7 +160,11 @@ def test_the_likelihood_has_a_gradient():
     assert np.isfinite(np.asarray(chains.log_density)).all()
 
 
-def ranks(kernel, make, start, theta_of, worlds=400, draws=15, apart=6):
+NIGHT = 10 if os.environ.get("MOTES_NIGHTLY") else 1
+"""Times as many worlds are simulated at night."""
+
+
+def ranks(kernel, make, start, theta_of, worlds=400 * NIGHT, draws=15, apart=6):
     """Draw parameters and data, run a chain on each, and return the ranks of the true parameters among the chain's draws."""
 
     def world(key):
@@ -144,7 +186,7 @@ def ranks(kernel, make, start, theta_of, worlds=400, draws=15, apart=6):
 @pytest.mark.optimized
 @pytest.mark.parametrize("name", ["PMMH", "particle Gibbs"])
 def test_ranks_of_the_truth_are_uniform(name):
-    """Simulation-based calibration (Talts et al. 2018); 16 ranks from 400 worlds."""
+    """Simulation-based calibration (Talts et al. 2018); 16 ranks from 400 worlds, MOTES_NIGHTLY=1 for ten times as many."""
     from motes.core.record import replace
 
     if name == "PMMH":
@@ -155,6 +197,22 @@ def test_ranks_of_the_truth_are_uniform(name):
                       lambda position: position["theta"])  # fmt: skip
     for k in range(2):
         assert stats.chisquare(np.bincount(found[:, k], minlength=16)).pvalue > 1e-6
+
+
+@pytest.mark.optimized
+def test_ranks_of_the_truth_among_sequential_parameters_are_uniform():
+    from motes.core.record import replace
+
+    found = []
+    for world in range(96 * NIGHT):
+        key = random.step_key(random.as_key(12), world)
+        theta = PRIOR.sample(random.child(key, 2), 1)[:, 0]
+        ys = mo.simulate(random.child(key, 3), model(theta), STEPS)[1]
+        small = replace(BY_PARTICLES, filter=mo.ParticleFilter(n=30), ys=ys)
+        drawn = parameters.smc_squared(random.child(key, 4), small, 80).cloud.sample(random.child(key, 5), 7)
+        found.append(np.asarray(jnp.sum(drawn < theta[:, None], axis=1)))
+    for k in range(2):
+        assert stats.chisquare(np.bincount(np.array(found)[:, k], minlength=8)).pvalue > 1e-6
 
 
 REFUSED = [

@@ -148,3 +148,19 @@ def test_policies():
     for bad in (lambda: mo.ESS(0.0), lambda: mo.ESS(1.5), lambda: mo.Entropy(-1.0)):
         with pytest.raises(mo.MotesError, match="expected a number above 0"):
             bad()
+
+
+def test_sorted_picks_by_weight_in_the_order_of_a_state():
+    particles = jnp.stack([jnp.array([3.0, -1.0, 2.0, 0.5]), jnp.arange(4.0)])
+    weights = np.array([0.1, 0.4, 0.15, 0.35])
+    cloud = mo.Cloud(particles, jnp.log(jnp.asarray(weights)), jnp.arange(4, dtype=jnp.int32))
+    keys = jax.random.split(jax.random.key(0), 4_000)
+    picked = jax.vmap(lambda key: mo.Sorted().resampled(key, cloud, None))(keys)
+    counts = np.apply_along_axis(np.bincount, 1, np.asarray(picked.ancestors), minlength=4)
+    assert (np.abs(counts - 4 * weights) < 1 + 1e-5).all()
+    assert (np.abs(counts.mean(axis=0) - 4 * weights) < 4.9 * counts.std(axis=0) / len(keys) ** 0.5 + 1e-6).all()
+    assert (np.diff(np.asarray(picked.particles)[:, 0], axis=1) >= 0).all()
+    scored = mo.Sorted().resampled(keys[0], cloud, jnp.log(jnp.full(4, 0.25)))
+    np.testing.assert_allclose(scored.log_weights, np.log(weights)[np.asarray(scored.ancestors)], rtol=1e-5)
+    with pytest.raises(mo.MotesError, match="Sorted scheme: expected a scheme"):
+        mo.Sorted(3)

@@ -58,7 +58,8 @@ def key_or_data(key: KeyLike) -> Any:
 
 
 def step_key(key: jax.Array, step: jax.Array | int) -> jax.Array:
-    """Return the key of one time step."""
+    """Return the key of one time step, from a key of a run or from keys of all steps `(t,)`."""
+    key = key[step] if key.ndim else key
     data = jax.random.key_data(key)
     folded = _threefry(data[0], data[1], jnp.asarray(step).astype(jnp.uint32), jnp.full((), _STEP_TAG))
     return jax.random.wrap_key_data(jnp.stack(folded), impl="threefry2x32")

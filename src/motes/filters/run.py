@@ -40,7 +40,7 @@ def run(
     arguments does not compile again.
 
     Args:
-        key: JAX key or integer seed; the same key gives the same numbers, bit for bit, as `stream` with it.
+        key: JAX key or integer seed, or a key for each step `(t,)`; the same key gives the same numbers, bit for bit, as `stream` with it.
         filter: the filter.
         model: state-space, mixed linear or jump-Markov model.
         ys: measurements `(t, y)`; NaN means not measured; the first is of x_0.

@@ -54,6 +54,11 @@ class Parametric:
         """Number of parameters."""
         return drawn(self.prior).shape[0]
 
+    @property
+    def steps(self) -> int:
+        """Number of measurements."""
+        return self.ys.shape[0]
+
     def starts(self, key: jax.Array) -> jax.Array:
         """Draw parameters `(p,)` from the prior: for `init` of `mo.sample`."""
         return self.prior.sample(key, 1)[:, 0]
@@ -91,7 +96,12 @@ class Posterior(Parametric):
         return self.estimate(random.as_key(0), theta)
 
     def estimate(self, key: jax.Array, theta: jax.Array) -> jax.Array:
-        """Return log prior plus an estimate of the log likelihood; -inf where no particle explains a measurement."""
+        """Return log prior plus an estimate of the log likelihood; -inf where no particle explains a measurement.
+
+        Args:
+            key: of the run, or one for each step `(t,)`.
+            theta: parameters `(p,)`.
+        """
         prior = self.prior.log_prob(theta)
         history = run(key, self.filter, self.model(theta), self.ys, self.inputs, nothing)
         likelihood = jnp.where(jnp.any(history.info.collapsed), -jnp.inf, history.log_likelihood)
