@@ -204,7 +204,7 @@ def test_ranks_of_the_truth_among_sequential_parameters_are_uniform():
     from motes.core.record import replace
 
     found = []
-    for world in range(96 * NIGHT):
+    for world in range(40 * NIGHT):
         key = random.step_key(random.as_key(12), world)
         theta = PRIOR.sample(random.child(key, 2), 1)[:, 0]
         ys = mo.simulate(random.child(key, 3), model(theta), STEPS)[1]
