@@ -28,9 +28,10 @@ test: $(STAMP)
 	@XLA_FLAGS="$(QUICK)" $(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized"
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup -m optimized
 
-# the tests that run filters, once more with the native engine
+# the tests that run filters, once more with the native engine; CI asks for the contract alone
+NATIVE := tests/contract tests/filters tests/oracles tests/applications tests/laws tests/resampling
 test-native: $(STAMP)
-	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup tests/contract tests/filters tests/oracles tests/applications tests/laws tests/resampling
+	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup $(NATIVE)
 
 lint: $(STAMP)
 	@$(BIN)/ruff check .

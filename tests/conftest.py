@@ -24,6 +24,8 @@ WITHOUT_STAGES = ("Ensemble", "GaussianParticle", "GaussianSum", "CostReference"
 ON_JAX = ("test_jump_markov", "test_ensemble_kalman", "test_sigma_points", "test_gaussian_particle_filters", "test_cost_reference",
           "test_square_root_and_parallel", "test_proposals", "test_aircraft_tracking", "test_bad_input")  # fmt: skip
 """Files about such filters, or messages, alone."""
+BITS_ONCE = ("test_stream_draws_the_same_bits", "test_nothing_measured")
+"""Asked of the programs compiled in full: filters that share their machinery with others answer one such question, of a run cut in two."""
 DOUBLE = ("[float64-KalmanFilter]", "[float64-ParticleFilter]", "[float64-MarginalizedParticleFilter]")
 """Filters whose equal bits are asked for in float64 too."""
 
@@ -39,6 +41,8 @@ def tells_nothing_new(item, native):
     if "float64" in name and (native or ", " in name or shares and "test_law_keeps" not in name):
         return True
     if "float64" in name and "contract" in str(item.path) and item.get_closest_marker("optimized") and not name.endswith(DOUBLE):
+        return True
+    if shares and item.get_closest_marker("optimized") and name.startswith(BITS_ONCE):
         return True
     if not native:
         return False

@@ -47,4 +47,5 @@ def examples():
     }
 
 
-ELSEWHERE = {"Gibbs": "test_gibbs.py", "ReversibleJump": "test_reversible_jump.py", "GeneralizedSampler": "test_generalized.py"}
+ELSEWHERE = {"Gibbs": "test_gibbs.py", "ReversibleJump": "test_reversible_jump.py", "GeneralizedSampler": "test_generalized.py",
+             "PseudoMarginal": "../parameters/test_parameters.py"}  # fmt: skip

@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from motes.core import checks
 
@@ -97,7 +97,7 @@ def raftery_lewis(
     """
     values = np.asarray(draws, np.float64)
     checks.shape("raftery_lewis draws", values, (None,), "(one chain)")
-    wanted = (norm.ppf((1 + probability) / 2) / error) ** 2
+    wanted = (ndtri((1 + probability) / 2) / error) ** 2
     least = math.ceil(quantile * (1 - quantile) * wanted)
     if values.size < least:
         checks.refuse("raftery_lewis draws", f"at least {least} draws", values.size)

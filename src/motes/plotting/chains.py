@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from scipy.stats import rankdata
 
 from motes.mcmc.chains import Chains
 from motes.plotting.figures import COLORS, new_figure, tidy
@@ -39,7 +38,9 @@ def _trace(axes: Any, name: str, draws: np.ndarray) -> None:
 
 
 def _ranks(axes: Any, draws: np.ndarray) -> None:
-    places = rankdata(draws, method="average").reshape(draws.shape)
+    # equal draws share the middle of their ranks
+    _, which, counts = np.unique(draws, return_inverse=True, return_counts=True)
+    places = (np.cumsum(counts) - (counts - 1) / 2)[which].reshape(draws.shape)
     edges = np.linspace(0.5, draws.size + 0.5, BINS + 1)
     even = draws.shape[1] / BINS
     for chain, values in enumerate(places):
