@@ -8,6 +8,7 @@ from scipy import stats
 
 import motes as mo
 from motes.core.checks import MotesError, MotesWarning
+from motes.montecarlo.adaptive import StudentMixture
 
 montecarlo = mo.montecarlo
 FAR = 4.9
@@ -79,7 +80,7 @@ def test_adaptation_finds_both_modes():
 
 
 def test_density_of_the_adapted_law():
-    law = mo.montecarlo.adaptive.StudentMixture(mo.Mixture.of(jnp.array([0.3, 0.7]), jnp.array([[0.0, 2.0], [1.0, -1.0]]), jnp.stack(
+    law = StudentMixture(mo.Mixture.of(jnp.array([0.3, 0.7]), jnp.array([[0.0, 2.0], [1.0, -1.0]]), jnp.stack(
         [jnp.array([[1.0, 0.5], [0.5, 2.0]]), jnp.array([[0.4, 0.0], [0.0, 0.2]])], axis=-1)))  # fmt: skip
     points = np.array([[0.0, 1.0, -3.0], [0.5, -1.0, 4.0]])
     parts = [(0.3, [0, 1], [[1, 0.5], [0.5, 2]]), (0.7, [2, -1], [[0.4, 0], [0, 0.2]])]

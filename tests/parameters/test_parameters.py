@@ -56,7 +56,7 @@ def close(draws, exact, allowed=0.0):
 
 def test_particle_marginal_metropolis_hastings(exact):
     kernel = mcmc.Adaptive(mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), steps=500)
-    chains = mo.sample(0, kernel, BY_PARTICLES, BY_PARTICLES.starts, draws=3_000, chains=8, burn_in=500)
+    chains = mo.sample(0, kernel, BY_PARTICLES, BY_PARTICLES.starts, draws=1_500, chains=8, burn_in=500)
     close(chains.positions, exact)
 
 
@@ -65,7 +65,7 @@ CORRELATED = mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis(jnp.array([0.2, 0.6])
 
 def test_correlated_chains(exact):
     posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, scheme=mo.Sorted()), YS)
-    chains = mo.sample(0, CORRELATED, posterior, posterior.starts, draws=4_000, chains=8, burn_in=500)
+    chains = mo.sample(0, CORRELATED, posterior, posterior.starts, draws=2_000, chains=8, burn_in=500)
     close(chains.positions, exact)
 
 
