@@ -23,6 +23,8 @@ from motes.io.archive import provenance
 
 ROOT = Path(__file__).parents[1]
 SIZE, TURNS = 10, 3
+WARM = 20_000
+"""Steps before; a random walk needs some ten thousand to learn the shape of ten dimensions by itself."""
 COLUMNS = ("problem", "who", "chains", "draws of each", "seconds", "effective draws", "per second")
 
 
@@ -58,7 +60,7 @@ def timed(draw):
 
 def ours(name, kernel, chains, draws):
     """Continue chains that have warmed up."""
-    warm = mo.sample(0, kernel, log_density, jnp.zeros(SIZE), draws=draws, chains=chains, burn_in=2_000)
+    warm = mo.sample(0, kernel, log_density, jnp.zeros(SIZE), draws=draws, chains=chains, burn_in=WARM)
     seconds, found = timed(lambda turn: mo.sample(1 + turn, kernel, log_density, warm, draws=draws))
     return row("Gaussian", f"motes, {name}", chains, draws, seconds, slowest(np.asarray(found.positions)))
 
@@ -140,12 +142,12 @@ def attempted(what, who):
 
 def main():
     """Measure and write the table."""
-    walk = mo.mcmc.Adaptive(mo.mcmc.RandomWalkMetropolis(), steps=2_000)
+    walk = mo.mcmc.Adaptive(mo.mcmc.RandomWalkMetropolis(), steps=WARM)
     rows = [
         ours("random walk", walk, 4, 20_000),
         ours("random walk", walk, 64, 4_000),
-        ours("NUTS", mo.mcmc.Adaptive(mo.mcmc.NUTS(), steps=1_000), 4, 2_000),
-        ours("HMC of 5 leaps", mo.mcmc.Adaptive(mo.mcmc.HMC(leaps=5), steps=1_000), 4, 4_000),
+        ours("NUTS", mo.mcmc.Adaptive(mo.mcmc.NUTS(), steps=2_000), 4, 2_000),
+        ours("HMC of 5 leaps", mo.mcmc.Adaptive(mo.mcmc.HMC(leaps=5), steps=2_000), 4, 4_000),
         blackjaxs("random walk", 4, 20_000),
         blackjaxs("random walk", 64, 4_000),
         blackjaxs("NUTS", 4, 2_000),
