@@ -1,4 +1,4 @@
-"""Kernels that follow the gradient of the log density: Langevin and Hamiltonian steps, taken from the library blackjax (extra `mcmc`).
+"""Kernels that follow the gradient of the log density: Langevin and Hamiltonian steps, taken from blackjax (extra `mcmc`).
 
 Roberts, Tweedie 1996 (MALA); Duane et al. 1987 (HMC); Hoffman, Gelman 2014 (NUTS). Steps are made in coordinates z about the present
 position, x + L z, in which a density of covariance L L' is round.
@@ -53,7 +53,7 @@ class GradientKernel(Kernel, Tunable):
         return replace(self, scale=scale, factor=factor)
 
     @abstractmethod
-    def library(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+    def trajectory(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Return blackjax's module, and what its step takes after the density."""
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
@@ -67,7 +67,7 @@ class GradientKernel(Kernel, Tunable):
             value = log_density(rebuild(there(z)))
             return jnp.where(jnp.isnan(value) | (value == jnp.inf), -jnp.inf, value)
 
-        module, options = self.library(x.shape[0], x.dtype)
+        module, options = self.trajectory(x.shape[0], x.dtype)
         begun = module.init(jnp.zeros_like(x), judged)
         found, told = module.build_kernel()(key, begun, judged, *options)
         # rounding in x + 0 must not move a chain that stays
@@ -85,7 +85,7 @@ class MALA(GradientKernel):
         """0.574 (Roberts, Rosenthal 1998)."""
         return 0.574
 
-    def library(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+    def trajectory(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Take trajectories of a single leap, which are Langevin steps; blackjax's own say nothing of densities that are no numbers."""
         return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), 1)
 
@@ -106,7 +106,7 @@ class HMC(GradientKernel):
         """0.65 (Beskos et al. 2013), a little more to be safe: 0.75."""
         return 0.75
 
-    def library(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+    def trajectory(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Take trajectories."""
         return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), self.leaps)
 
@@ -127,6 +127,6 @@ class NUTS(GradientKernel):
         """0.8 (Hoffman, Gelman 2014)."""
         return 0.8
 
-    def library(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+    def trajectory(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Take trajectories that stop in time."""
         return checks.need("blackjax.mcmc.nuts", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), self.doublings)
