@@ -17,9 +17,9 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pages import told, write_page
 
 import motes as mo
-from motes.io.archive import provenance
 
 ROOT = Path(__file__).parents[1]
 SIZE, TURNS = 10, 3
@@ -155,13 +155,7 @@ def main():
         coal(),
         ("coal", "blackjax, emcee: no moves between models of different size", None, None, None, None, None),
     ]
-    table = mo.Table(COLUMNS, tuple(rows))
-    print(table)
-    facts = ", ".join(f"{key.removeprefix('motes_')} {value}" for key, value in provenance().items())
-    words = (__doc__ or "").split("\n\n")[2]
-    place = Path(__file__).parent / "CHAINS.md"
-    table.save(place)
-    place.write_text(f"# Effective draws per second\n\n{words.strip()}\n\n{facts}\n\n{place.read_text()}")
+    write_page("CHAINS", "Effective draws per second", told(__doc__), mo.Table(COLUMNS, tuple(rows)))
 
 
 if __name__ == "__main__":

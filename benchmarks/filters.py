@@ -7,17 +7,16 @@ the compiler counts in a step of the compiled program, each transcendental one a
 """
 
 import os
-from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import jax
 import jax.numpy as jnp
+from pages import told, write_page
 
 import motes as mo
 from motes.core import random
 from motes.filters.run import Engine
-from motes.io.archive import provenance
 from motes.models.textbook import radar_tracking
 
 N, STEPS, TURNS = 2000, 60, 2
@@ -76,14 +75,8 @@ def main():
         cost = min(times[name]) / N * 1e9
         expected = min(times["bootstrap"]) / N * 1e9 * counts[name] / counts["bootstrap"]
         rows.append((name, cost, counts[name] / N, cost / expected, "" if cost <= LIMIT * expected else "yes"))
-    table = mo.Table(COLUMNS, tuple(rows))
-    print(table)
-    facts = ", ".join(f"{key.removeprefix('motes_')} {value}" for key, value in provenance().items())
-    words = (__doc__ or "").split("\n\n")[2]
-    place = Path(__file__).parent / "FILTERS.md"
-    table.save(place)
-    head = f"# Every filter\n\nRadar model of six states, n = {N}, JAX engine. {words.strip()}\n\n{facts}"
-    place.write_text(f"{head}\n\n{place.read_text()}")
+    words = f"Radar model of six states, n = {N}, JAX engine. {told(__doc__)}"
+    write_page("FILTERS", "Every filter", words, mo.Table(COLUMNS, tuple(rows)))
 
 
 if __name__ == "__main__":

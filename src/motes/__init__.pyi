@@ -67,7 +67,7 @@ from .filters.square_root_kalman import SquareRootKalmanFilter as SquareRootKalm
 from .filters.stream import Stream as Stream
 from .filters.stream import stream as stream
 from .filters.unscented_kalman import UnscentedKalmanFilter as UnscentedKalmanFilter
-from .io.table import Table as Table
+from .io.result_table import Table as Table
 from .laws.cloud import Cloud as Cloud
 from .laws.conditional import AdditiveGaussian as AdditiveGaussian
 from .laws.conditional import AdditiveNoise as AdditiveNoise

@@ -3,6 +3,8 @@
 import json
 import zipfile
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -88,3 +90,14 @@ def test_checkpoint_of_another_filter_is_refused(tmp_path):
     path = stream.save(tmp_path / "c.npz")
     with pytest.raises(mo.FileError, match="filter: expected ParticleFilter.*n=31.* got ParticleFilter.*n=30"):
         mo.Stream.load(path, mo.ParticleFilter(n=31), model)
+
+
+def test_a_key_for_each_step():
+    model = mo.StateSpaceModel(mo.Gaussian(jnp.zeros(1), jnp.eye(1)), mo.LinearGaussian(jnp.eye(1), jnp.eye(1)),
+                               mo.LinearGaussian(jnp.eye(1), jnp.eye(1)))  # fmt: skip
+    _, ys = mo.simulate(0, model, 6)
+    keys = jax.random.split(jax.random.key(3), 6)
+    one, other = (mo.run(given, mo.ParticleFilter(n=20), model, ys) for given in (keys, keys.at[4].set(jax.random.key(9))))
+    assert np.array_equal(one.mean[:4], other.mean[:4]) and not np.array_equal(one.mean[4], other.mean[4])
+    with pytest.raises(mo.MotesError, match=r"run key: expected shape \(6,\) \(one for each step\), got shape \(5,\)"):
+        mo.run(keys[:5], mo.ParticleFilter(n=20), model, ys)

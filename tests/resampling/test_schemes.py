@@ -164,3 +164,5 @@ def test_sorted_picks_by_weight_in_the_order_of_a_state():
     np.testing.assert_allclose(scored.log_weights, np.log(weights)[np.asarray(scored.ancestors)], rtol=1e-5)
     with pytest.raises(mo.MotesError, match="Sorted scheme: expected a scheme"):
         mo.Sorted(3)
+    with pytest.raises(mo.MotesError, match="Sorted by: expected a law of particles with a state 2, got 2 states in particles"):
+        mo.Sorted(by=2).resampled(keys[0], cloud, None)

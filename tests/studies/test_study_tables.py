@@ -143,7 +143,7 @@ def test_forms(result, tmp_path):
 
 
 def test_digits():
-    from motes.io.table import shown
+    from motes.io.result_table import shown
 
     assert [shown(value) for value in (1.0, 0.0123456, 123456.0, 3, None, math.nan, math.inf, "x")] == [
         "1.000", "0.01235", "1.235e+05", "3", "-", "-", "inf", "x"]

@@ -65,6 +65,11 @@ def step_key(key: jax.Array, step: jax.Array | int) -> jax.Array:
     return jax.random.wrap_key_data(jnp.stack(folded), impl="threefry2x32")
 
 
+def step_keys(key: jax.Array, count: int) -> jax.Array:
+    """Return the keys of the first steps, or of as many chains or particles, `(count,)`; the k-th does not depend on how many there are."""
+    return jax.vmap(lambda step: step_key(key, step))(jnp.arange(count))
+
+
 def child(key: jax.Array, purpose: int) -> jax.Array:
     """Return the key for one purpose within a step or a run.
 

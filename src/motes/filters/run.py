@@ -56,6 +56,8 @@ def run(
     if not isinstance(filter, Filter):
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
     ys = checked_measurements(model, ys, inputs)
+    if isinstance(key, jax.Array) and key.ndim and after is None:
+        checks.shape("run key", key, (np.shape(ys)[0],), "(one for each step)")
     first = None if after is None else after.last
     u = jax.tree.map(one_of, inputs)
     # functions that are equal for inputs of one shape need not be so for those that a run before had

@@ -79,6 +79,17 @@ class Conditional(ABC):
         return wrap(linalg.add_vectors(value, -prediction), self.angles)
 
 
+def as_conditional(argument: str, value: Any) -> Conditional:
+    """Return a conditional.
+
+    Raises:
+        MotesError: it is none.
+    """
+    if not isinstance(value, Conditional):
+        checks.refuse(argument, "a conditional such as mo.AdditiveGaussian(f, Q)", type(value).__name__)
+    return value
+
+
 def wrap(difference: jax.Array, angles: tuple[int, ...]) -> jax.Array:
     """Wrap the named rows of differences `(z, *n)` to (-pi, pi]; radians."""
     if not angles:

@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 
 from motes.core import checks, linalg
 from motes.core.record import record, replace, static
-from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, Tunable
+from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, Tunable, Wrapper
 
 FIRST_WINDOW = 32
 PRIOR_DRAWS = 5.0
@@ -43,7 +43,7 @@ class Learned:
 
 
 @record
-class Adaptive(Kernel):
+class Adaptive(Wrapper):
     """A kernel that is tuned during the first steps of a chain, each chain on its own.
 
     Attributes:
@@ -68,21 +68,12 @@ class Adaptive(Kernel):
         if self.target is not None and not 0 < self.target < 1:
             checks.refuse("Adaptive target", "a probability between 0 and 1", self.target)
 
-    @property
-    def moves(self) -> tuple[str, ...]:
-        """Those of the kernel."""
-        return self.kernel.moves
-
-    def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
-        """Check the kernel."""
-        self.kernel.check(key, log_density, position)
-
     def remembered(self, log_density: LogDensity, position: Position) -> Learned:
         """Start with a scale for the standard normal density."""
         x = ravel_pytree(position)[0]
         first = jnp.log(jnp.asarray(self.kernel.first_scale(x.shape[0]), x.dtype))
         none, nothing = jnp.zeros((), x.dtype), jnp.zeros_like(x)
-        inner = self.kernel.remembered(log_density, position)
+        inner = super().remembered(log_density, position)
         return Learned(first, jnp.eye(x.shape[0], dtype=x.dtype), none, nothing, jnp.outer(nothing, nothing), inner)
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:

@@ -11,7 +11,7 @@ from motes.core import checks
 from motes.core.findings import Diagnosis
 from motes.core.record import record, static
 from motes.io import archive
-from motes.io.table import Table
+from motes.io.result_table import Table
 from motes.mcmc import judgement
 from motes.mcmc.interface import Info, Kernel, LogDensity, State
 
@@ -47,11 +47,15 @@ class Chains:
     def columns(self) -> dict[str, np.ndarray]:
         """Return the draws `(chain, draw)` of each number of the position, by name."""
         found = {}
-        for path, leaf in jax.tree_util.tree_flatten_with_path(self.positions)[0]:
-            name, values = ".".join(archive.path_names(path)) or "x", np.asarray(leaf)
+        for name, values in self._named().items():
             for index in np.ndindex(values.shape[2:]):
                 found[name + (f"[{','.join(map(str, index))}]" if index else "")] = values[(slice(None), slice(None), *index)]
         return found
+
+    def _named(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the position by name, `x` where there is but one without a name."""
+        leaves = jax.tree_util.tree_flatten_with_path(self.positions)[0]
+        return {"_".join(archive.path_names(path)) or "x": np.asarray(leaf) for path, leaf in leaves}
 
     def summary(self) -> Table:
         """Return a table of mean, standard deviation, quantiles, standard error, effective sizes and R-hat of each number."""
@@ -68,10 +72,7 @@ class Chains:
 
     def to_datatree(self) -> Any:
         """Return an `xarray.DataTree` as ArviZ wants it (extra `results`): groups posterior and sample_stats."""
-        posterior = {}
-        for path, leaf in jax.tree_util.tree_flatten_with_path(self.positions)[0]:
-            posterior["_".join(archive.path_names(path)) or "x"] = np.asarray(leaf)
-        groups = {"posterior": posterior, "sample_stats": {"lp": np.asarray(self.log_density)}}
+        groups = {"posterior": self._named(), "sample_stats": {"lp": np.asarray(self.log_density)}}
         return checks.need("arviz_base", "results").from_dict(groups, attrs={"/": archive.provenance() | {"kernel": self.label}})
 
     def save(self, path: str | Path) -> Path:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.laws.cloud import pick
-from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, put, take
+from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, Wrapper, as_kernel, put, take
 
 
 class Compound(Kernel):
@@ -146,7 +146,7 @@ class Block(Kernel):
 
 
 @record
-class Repeat(Kernel):
+class Repeat(Wrapper):
     """Several steps of a kernel as one: thinning.
 
     Attributes:
@@ -163,21 +163,8 @@ class Repeat(Kernel):
         Raises:
             MotesError: times is no positive whole number, or kernel no kernel.
         """
-        _kernels("Repeat", (self.kernel,))
+        as_kernel("Repeat kernel", self.kernel)
         checks.positive_integer("Repeat times", self.times)
-
-    @property
-    def moves(self) -> tuple[str, ...]:
-        """Those of the kernel."""
-        return self.kernel.moves
-
-    def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
-        """Check the kernel."""
-        self.kernel.check(key, log_density, position)
-
-    def remembered(self, log_density: LogDensity, position: Position) -> Any:
-        """Return the memory of the kernel."""
-        return self.kernel.remembered(log_density, position)
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make all the steps."""
@@ -198,8 +185,7 @@ def within_gibbs(kernels: Mapping[Any, Kernel]) -> Cycle:
 
 def _kernels(asked_by: str, kernels: Sequence[Kernel]) -> tuple[Kernel, ...]:
     for kernel in kernels:
-        if not isinstance(kernel, Kernel):
-            checks.refuse(f"{asked_by} kernel", "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)", type(kernel).__name__)
+        as_kernel(f"{asked_by} kernel", kernel)
     if not kernels:
         checks.refuse(f"{asked_by} kernels", "at least one kernel", "none")
     return tuple(kernels)

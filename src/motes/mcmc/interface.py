@@ -10,9 +10,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from motes.core import random
+from motes.core import checks, random
 from motes.core.record import record, replace
 
 Position = Any
@@ -137,11 +138,52 @@ class Proposing(Kernel):
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make one step."""
+        return self.judged(key, lambda position: State(position, log_density(position)), state, t)
+
+    def judged(self, key: jax.Array, judge: Callable[[Position], State], state: State, t: Any) -> tuple[State, Info]:
+        """Propose a position, give it to `judge`, which returns its state, and go there or stay."""
         x, rebuild = ravel_pytree(state.position)
         new, log_proposals = self.proposed(random.child(key, random.PREDICT), x, t)
-        position = rebuild(new)
-        there = State(position, log_density(position))
+        there = judge(rebuild(new))
         return settle(random.child(key, random.UPDATE), state, there, there.log_density - state.log_density + log_proposals)
+
+
+class Wrapper(Kernel):
+    """A kernel around another: moves, checks and memory are the inner one's."""
+
+    kernel: Any
+
+    @property
+    def moves(self) -> tuple[str, ...]:
+        """Those of the kernel."""
+        return self.kernel.moves
+
+    def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
+        """Check the kernel."""
+        self.kernel.check(key, log_density, position)
+
+    def remembered(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the memory of the kernel."""
+        return self.kernel.remembered(log_density, position)
+
+
+def as_kernel(argument: str, value: Any) -> Kernel:
+    """Return a kernel.
+
+    Raises:
+        MotesError: it is none.
+    """
+    if not isinstance(value, Kernel):
+        checks.refuse(argument, "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)", type(value).__name__)
+    return value
+
+
+def check_start(log_density: jax.Array) -> None:
+    """Refuse starts of chains, by their log densities `(chain,)`, that are not finite."""
+    found = np.asarray(log_density)
+    if not np.isfinite(found).all():
+        chain = int(np.argmax(~np.isfinite(found)))
+        checks.refuse("log_density at init", "a finite number", f"{found[chain]} for chain {chain}", "Start where the density is positive.")
 
 
 def take(position: Position, part: Any) -> Any:

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from motes.core.findings import Diagnosis, Finding
-from motes.io.table import Table
+from motes.io.result_table import Table
 from motes.mcmc import convergence
 
 MIXED = 1.01

@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from motes.core import checks, random
 from motes.core.record import record
-from motes.laws.conditional import Conditional
+from motes.laws.conditional import Conditional, as_conditional
 from motes.laws.law import Law, as_law
 from motes.mcmc.interface import LogDensity, Proposing, Tunable
 
@@ -114,10 +114,3 @@ class MetropolisHastings(Proposing):
         old = x[:, None]
         new = self.proposal.sample(key, old, None, t)
         return new[:, 0], (self.proposal.log_prob(old, new, None, t) - self.proposal.log_prob(new, old, None, t))[0]
-
-
-def as_conditional(argument: str, value: Any) -> Conditional:
-    """Return a conditional, or refuse."""
-    if not isinstance(value, Conditional):
-        checks.refuse(argument, "a conditional such as mo.AdditiveGaussian(f, Q)", type(value).__name__)
-    return value

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from motes.core import checks
-from motes.io.table import Table
+from motes.io.result_table import Table
 from motes.mcmc import convergence
 
 

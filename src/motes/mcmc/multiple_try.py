@@ -14,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from motes.core import checks, random
 from motes.core.record import record, static
 from motes.laws.cloud import draw
-from motes.laws.conditional import Conditional
+from motes.laws.conditional import Conditional, as_conditional
 from motes.mcmc.interface import Info, Kernel, LogDensity, State, settle
 
 WEIGHTS = {"importance": (0.0, -1.0), "plain": (1.0, 0.0)}
@@ -41,8 +41,7 @@ class MultipleTry(Kernel):
         Raises:
             MotesError: naming the one that cannot be used.
         """
-        if not isinstance(self.proposal, Conditional):
-            checks.refuse("MultipleTry proposal", "a conditional such as mo.AdditiveGaussian(f, Q)", type(self.proposal).__name__)
+        as_conditional("MultipleTry proposal", self.proposal)
         checks.positive_integer("MultipleTry tries", self.tries)
         checks.option("MultipleTry weight", self.weight, tuple(WEIGHTS))
 

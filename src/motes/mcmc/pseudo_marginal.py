@@ -12,18 +12,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.mcmc.interface import Info, Kernel, LogDensity, Position, Proposing, State, Tunable, settle
+from motes.mcmc.interface import Info, LogDensity, Position, Proposing, State, Tunable, Wrapper
 
 TARGET = 0.2
 """Acceptance aimed at: noise in the estimates costs some of it (Sherlock, Thiery, Roberts, Rosenthal 2015)."""
 
 
 @record
-class PseudoMarginal(Kernel, Tunable):
+class PseudoMarginal(Wrapper, Tunable):
     """A Metropolis-Hastings kernel for a log density with a method `estimate(key, position)`, such as `parameters.Posterior`.
 
     Attributes:
@@ -46,11 +45,6 @@ class PseudoMarginal(Kernel, Tunable):
             checks.refuse("PseudoMarginal kernel", wanted, type(self.kernel).__name__)
         checks.above_zero("PseudoMarginal renewed", self.renewed, 1.0)
 
-    @property
-    def moves(self) -> tuple[str, ...]:
-        """That of the kernel."""
-        return self.kernel.moves
-
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Ask for a density that can be estimated."""
         if not hasattr(log_density, "estimate"):
@@ -58,7 +52,7 @@ class PseudoMarginal(Kernel, Tunable):
                           "Use mo.parameters.Posterior, or the kernel itself where the density is known.")
         if self.renewed < 1 and not hasattr(log_density, "steps"):
             checks.refuse("PseudoMarginal log_density", "one with steps (renewed is below 1)", type(log_density).__name__)
-        self.kernel.check(key, log_density, position)
+        super().check(key, log_density, position)
 
     def init(self, key: jax.Array, log_density: Any, position: Position) -> State:
         """Return the state of a chain with an estimate of its density; its memory are the keys that gave it."""
@@ -73,7 +67,7 @@ class PseudoMarginal(Kernel, Tunable):
         if self.renewed == 1:
             return key
         steps = jnp.arange(log_density.steps)
-        fresh = jax.vmap(lambda step: random.step_key(key, step))(steps)
+        fresh = random.step_keys(key, log_density.steps)
         if old is None:
             return fresh
         block = max(1, round(self.renewed * log_density.steps))
@@ -85,12 +79,8 @@ class PseudoMarginal(Kernel, Tunable):
 
     def step(self, key: jax.Array, log_density: Any, state: State, t: Any) -> tuple[State, Info]:
         """Make one step."""
-        x, rebuild = ravel_pytree(state.position)
-        new, log_proposals = self.kernel.proposed(random.child(key, random.PREDICT), x, t)
-        position = rebuild(new)
         keys = self._renewed(random.child(key, random.FILTER), log_density, state.memory)
-        there = State(position, log_density.estimate(keys, position), self._kept(keys))
-        return settle(random.child(key, random.UPDATE), state, there, there.log_density - state.log_density + log_proposals)
+        return self.kernel.judged(key, lambda position: State(position, log_density.estimate(keys, position), self._kept(keys)), state, t)
 
     def target(self, size: int) -> float:
         """Less than for known densities."""

@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, random
+from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.laws.cloud import draw
-from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, settle
+from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, as_kernel, settle
 from motes.mcmc.jumps import Configuration, Jump
 
 TRIALS = 60
@@ -71,8 +71,8 @@ class ReversibleJump(Kernel):
                 checks.refuse(f"ReversibleJump jumps[{name!r}]", "a reverse among the jumps that names it in turn", given)
         if not callable(size):
             checks.refuse("ReversibleJump size", "a function of the model", type(size).__name__)
-        if within is not None and not isinstance(within, Kernel):
-            checks.refuse("ReversibleJump within", "a kernel or None", type(within).__name__)
+        if within is not None:
+            as_kernel("ReversibleJump within", within)
         for field, value in (("names", tuple(jumps)), ("jumps", tuple(jumps.values())), ("size", size), ("within", within),
                              ("probabilities", probabilities)):
             object.__setattr__(self, field, value)
@@ -190,8 +190,8 @@ def _given(log_density: LogDensity, model: Any) -> LogDensity:
 
 
 def _log_shares(log_weights: jax.Array) -> jax.Array:
-    total = jax.nn.logsumexp(log_weights)
-    return jnp.where(jnp.isfinite(total), log_weights - total, -jnp.inf)
+    shares, total = logspace.normalize(log_weights)
+    return jnp.where(jnp.isfinite(total), shares, -jnp.inf)
 
 
 def _log_volume(jacobian: jax.Array, before: tuple[Any, int], after: tuple[Any, int]) -> jax.Array:

@@ -14,7 +14,7 @@ from motes.core.record import is_function, record
 from motes.core.types import KeyLike
 from motes.mcmc import judgement
 from motes.mcmc.chains import Chains, joined
-from motes.mcmc.interface import Info, Kernel, LogDensity, State
+from motes.mcmc.interface import Info, Kernel, LogDensity, State, as_kernel, check_start
 from motes.models.canonical import canonical_function, shape_of
 
 PIECES, MOST_PIECES = 20, 200
@@ -49,8 +49,7 @@ def sample(
     Raises:
         MotesError: an argument cannot be used; the density at a start is not a finite number; the kernel does not fit.
     """
-    if not isinstance(kernel, Kernel):
-        checks.refuse("sample kernel", "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)", type(kernel).__name__)
+    as_kernel("sample kernel", kernel)
     if not callable(log_density):
         checks.refuse("sample log_density", "a function of a position", type(log_density).__name__)
     for name, value in (("draws", draws), ("chains", chains)):
@@ -65,7 +64,9 @@ def sample(
         positions = _starts(random.child(key, random.INITIAL), init, chains)
         first = jax.tree.map(lambda leaf: leaf[0], positions)
         target, begun = _target(log_density, positions), 0
-        _check_density(target, positions)
+        values = jax.vmap(target.log_density)(positions)
+        checks.shape("log_density at init", values, (None,), "(one number for each chain)")
+        check_start(values)
         kernel.check(random.child(key, random.WORLD), log_density, first)
         states = _begin(random.child(key, random.FILTER), kernel, target, positions)
         pieces = _pieces(burn_in, draws)
@@ -88,7 +89,7 @@ def sample(
 
 def _starts(key: jax.Array, init: Any, chains: int) -> Any:
     if is_function(init):
-        return jax.jit(lambda key: jax.vmap(init)(_keys(key, chains)))(key)
+        return jax.jit(lambda key: jax.vmap(init)(random.step_keys(key, chains)))(key)
     try:
         position = jax.tree.map(lambda leaf: jnp.asarray(leaf) if not isinstance(leaf, float) else checks.as_float("init", leaf), init)
     except TypeError:
@@ -98,23 +99,9 @@ def _starts(key: jax.Array, init: Any, chains: int) -> Any:
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (chains, *leaf.shape)), position)
 
 
-def _keys(key: jax.Array, chains: int) -> jax.Array:
-    """Return a key for each chain."""
-    return jax.vmap(lambda chain: random.step_key(key, chain))(jnp.arange(chains))
-
-
 def _target(log_density: LogDensity, positions: Any) -> Target:
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), jax.tree.map(shape_of, positions))
     return Target(canonical_function(log_density, (one,)))
-
-
-def _check_density(target: Target, positions: Any) -> None:
-    values = jax.vmap(target.log_density)(positions)
-    checks.shape("log_density at init", values, (None,), "(one number for each chain)")
-    found = np.asarray(values)
-    if not np.isfinite(found).all():
-        chain = int(np.argmax(~np.isfinite(found)))
-        checks.refuse("log_density at init", "a finite number", f"{found[chain]} for chain {chain}", "Start where the density is positive.")
 
 
 def _pieces(burn_in: int, draws: int) -> list[tuple[int, bool]]:
@@ -133,7 +120,7 @@ def _pieces(burn_in: int, draws: int) -> list[tuple[int, bool]]:
 
 @jax.jit
 def _begin(key: jax.Array, kernel: Kernel, target: Target, positions: Any) -> State:
-    keys = _keys(key, jax.tree.leaves(positions)[0].shape[0])
+    keys = random.step_keys(key, jax.tree.leaves(positions)[0].shape[0])
     return jax.vmap(lambda key, position: kernel.init(key, target.log_density, position))(keys, positions)
 
 
@@ -142,7 +129,7 @@ def _advance(
     key: jax.Array, kernel: Kernel, target: Target, states: State, begun: jax.Array, count: int
 ) -> tuple[State, Info, tuple[Any, jax.Array]]:
     chains = states.log_density.shape[0]
-    keys = _keys(key, chains)
+    keys = random.step_keys(key, chains)
 
     def advance(held: tuple[State, Info], t: jax.Array) -> tuple[tuple[State, Info], Any]:
         # the barrier keeps the compiler from fusing steps, so that a step computes the same bits in a run of any length

@@ -8,7 +8,7 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.types import KeyLike
-from motes.mcmc.interface import Kernel, LogDensity, State
+from motes.mcmc.interface import Kernel, LogDensity, State, as_kernel, check_start
 
 
 class Annealed(NamedTuple):
@@ -42,13 +42,11 @@ def anneal(key: KeyLike, kernel: Kernel, log_density: LogDensity, init: Any, ste
     Raises:
         MotesError: an argument cannot be used, or the start has no finite density.
     """
-    if not isinstance(kernel, Kernel):
-        checks.refuse("anneal kernel", "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)", type(kernel).__name__)
+    as_kernel("anneal kernel", kernel)
     for name, value in (("steps", steps), ("chains", chains)):
         checks.positive_integer(f"anneal {name}", value)
     position = jax.tree.map(lambda leaf: checks.as_float("anneal init", leaf), init)
-    if not bool(jnp.isfinite(log_density(position))):
-        checks.refuse("log_density at init", "a finite number", str(log_density(position)), "Start where the density is positive.")
+    check_start(jnp.asarray(log_density(position))[None])
     key = random.as_key(key)
     kernel.check(random.child(key, random.WORLD), log_density, position)
 
@@ -70,6 +68,6 @@ def anneal(key: KeyLike, kernel: Kernel, log_density: LogDensity, init: Any, ste
         (_, _, best, most), _ = jax.lax.scan(cooled, begun, jnp.arange(steps, dtype=jnp.int32))
         return best, most
 
-    best, most = jax.jit(jax.vmap(one))(jax.vmap(lambda chain: random.step_key(key, chain))(jnp.arange(chains)))
+    best, most = jax.jit(jax.vmap(one))(random.step_keys(key, chains))
     winner = int(jnp.argmax(most))
     return Annealed(jax.tree.map(lambda leaf: leaf[winner], best), float(most[winner]), np.asarray(most))

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks
+from motes.core import checks, logspace
 from motes.core.findings import Diagnosis, Finding
 from motes.core.record import record
 from motes.diagnostics.weights import TRUSTED, pareto_k
@@ -125,21 +125,17 @@ def averaged(log_weights: jax.Array, values: jax.Array, normalized: bool) -> Est
     """
     n = log_weights.shape[0]
     log_weights = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights)
-    top = jnp.max(log_weights)
-    anchor = jnp.where(jnp.isfinite(top), top, 0.0)
-    raw = jnp.exp(log_weights - anchor)
-    mean_weight = jnp.mean(raw)
+    normal, total = logspace.normalize(log_weights)
+    shares = jnp.exp(normal)
     # a point without weight tells nothing, whatever the function is there
-    seen = jnp.where(raw > 0, values, 0)
+    seen = jnp.where(shares > 0, values, 0)
     if normalized:
         weighed = seen * jnp.exp(log_weights)
         value, error = jnp.mean(weighed, axis=-1), jnp.std(weighed, axis=-1, ddof=1) / n**0.5
         log_evidence = log_evidence_error = jnp.full((), jnp.nan, log_weights.dtype)
     else:
-        shares = raw / (n * mean_weight)
         value = jnp.sum(seen * shares, axis=-1)
         # by the delta method; Geweke 1989
-        error = jnp.sqrt(jnp.sum((shares * jnp.where(raw > 0, values - value[..., None], 0)) ** 2, axis=-1))
-        log_evidence, log_evidence_error = anchor + jnp.log(mean_weight), jnp.std(raw, ddof=1) / (mean_weight * n**0.5)
-    ess = jnp.sum(raw) ** 2 / jnp.sum(raw**2)
-    return Estimate(value, error, n, ess, pareto_k(log_weights), log_evidence, log_evidence_error)
+        error = jnp.sqrt(jnp.sum((shares * jnp.where(shares > 0, values - value[..., None], 0)) ** 2, axis=-1))
+        log_evidence, log_evidence_error = total - jnp.log(jnp.asarray(n, total.dtype)), jnp.std(n * shares, ddof=1) / n**0.5
+    return Estimate(value, error, n, logspace.effective_size(normal), pareto_k(log_weights), log_evidence, log_evidence_error)

@@ -16,7 +16,8 @@ from motes.core import checks, linalg, logspace, random
 from motes.core.types import KeyLike
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.laws.law import Law, as_law
-from motes.mcmc.interface import Info, Kernel, State, Tunable
+from motes.mcmc.compose import Repeat
+from motes.mcmc.interface import Kernel, Tunable
 from motes.montecarlo.estimate import densities_at
 from motes.resampling.schemes import Scheme, Systematic
 
@@ -89,7 +90,7 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
         db = _step(values, b, how.ess * n)
         weights, gain = logspace.normalize(db * values + logspace.uniform_weights(n, values.dtype))
         ancestors = how.scheme.ancestors(random.child(key, random.RESAMPLE), weights, n)
-        kernel = _shaped(how.kernel, weights, particles)
+        kernel = shaped(how.kernel, weights, particles)
         target = Between(law, log_likelihood, b + db)
         particles, share = _moved(random.child(key, random.PREDICT), kernel, target, particles[:, ancestors], how.moves)
         return b + db, particles, densities_at(log_likelihood, particles), gain, logspace.effective_size(weights), share
@@ -122,7 +123,8 @@ def _step(values: jax.Array, b: jax.Array, wanted: float) -> jax.Array:
     return jnp.where(size(1 - b) >= wanted, 1 - b, jnp.where(low > 0, low, high))
 
 
-def _shaped(kernel: Kernel, log_weights: jax.Array, particles: jax.Array) -> Kernel:
+def shaped(kernel: Kernel, log_weights: jax.Array, particles: jax.Array) -> Any:
+    """Return a tunable kernel scaled and shaped to weighted particles `(x, n)`; any other as it is."""
     if not isinstance(kernel, Tunable):
         return kernel
     size = particles.shape[0]
@@ -145,15 +147,12 @@ class Between(NamedTuple):
 
 
 def _moved(key: jax.Array, kernel: Kernel, log_density: Between, particles: jax.Array, moves: int) -> tuple[jax.Array, jax.Array]:
-    def one(key: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        def again(held: tuple[State, Info], t: jax.Array) -> tuple[tuple[State, Info], None]:
-            state, info = kernel.step(random.step_key(key, t), log_density, held[0], t)
-            return (state, jax.tree.map(jnp.add, held[1], info)), None
+    repeated = Repeat(kernel, moves)
 
-        begun = (kernel.init(key, log_density, x), Info.none(len(kernel.moves)))
-        (state, info), _ = jax.lax.scan(again, begun, jnp.arange(moves, dtype=jnp.int32))
+    def one(key: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        state, info = repeated.step(key, log_density, repeated.init(key, log_density, x), 0)
         return ravel_pytree(state.position)[0], jnp.sum(info.accepted) / jnp.maximum(jnp.sum(info.tried), 1)
 
-    keys = jax.vmap(lambda k: random.step_key(key, k))(jnp.arange(particles.shape[-1]))
+    keys = random.step_keys(key, particles.shape[-1])
     moved, shares = jax.vmap(one, in_axes=(0, -1), out_axes=(-1, 0))(keys, particles)
     return moved, jnp.mean(shares)

@@ -36,6 +36,6 @@ def augmented(given: Parametric, thetas: jax.Array, key: jax.Array, deviations: 
     def judged(y: jax.Array, z: jax.Array, u: Any, t: Any) -> jax.Array:
         return of(z).sensor.log_prob(y, z[size:, None], u, t)[0]
 
-    keys = jax.vmap(lambda k: random.step_key(key, k))(jnp.arange(n))
+    keys = random.step_keys(key, n)
     X = jax.vmap(lambda key, theta: of(theta).initial.sample(key, 1)[:, 0], in_axes=(0, -1), out_axes=-1)(keys, thetas)
     return StateSpaceModel(Cloud.equal(jnp.concatenate([thetas, X])), Custom(moved), Custom(log_prob=judged))

@@ -13,10 +13,11 @@ import numpy as np
 from motes.core import checks, random
 from motes.core.progress import tracked
 from motes.core.types import KeyLike
+from motes.filters import keep
 from motes.filters.particle import ParticleFilter
 from motes.filters.run import run
 from motes.parameters.augmented import augmented
-from motes.parameters.posterior import Parametric, nothing
+from motes.parameters.posterior import Parametric
 from motes.resampling.schemes import Systematic
 
 HALVED_AFTER = 0.25
@@ -77,6 +78,6 @@ def iterated_filtering(key: KeyLike, given: Parametric, n: int, deviations: Any,
 def _round(key: jax.Array, given: Parametric, thetas: jax.Array, deviations: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     size, n = thetas.shape
     model = augmented(given, thetas, random.child(key, random.WORLD), deviations)
-    history = run(random.child(key, random.FILTER), ParticleFilter(n=n), model, given.ys, given.inputs, nothing)
+    history = run(random.child(key, random.FILTER), ParticleFilter(n=n), model, given.ys, given.inputs, keep.nothing)
     ancestors = Systematic().ancestors(random.child(key, random.RESAMPLE), history.state.log_weights, n)
     return history.state.particles[:size, ancestors], history.log_likelihood, jnp.any(history.info.collapsed)

@@ -14,8 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, linalg, logspace, random
+from motes.core import checks, linalg, random
+from motes.core.record import replace
 from motes.core.types import KeyLike
+from motes.filters.interface import weigh
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.models.state_space import at_step
 from motes.parameters.augmented import augmented
@@ -77,12 +79,11 @@ def _filtered(key: jax.Array, given: Parametric, n: int, a: Any) -> tuple[Cloud,
 
     def weighed(cloud: Cloud, t: Any) -> tuple[Cloud, tuple[jax.Array, ...]]:
         likelihood = model.sensor.log_prob(given.ys[t], cloud.particles, at_step(given.inputs, t), t)
-        likelihood = jnp.where(jnp.isnan(likelihood), -jnp.inf, likelihood)
         # nothing measured changes nothing
         likelihood = jnp.where(jnp.all(jnp.isnan(given.ys[t])), 0.0, likelihood)
-        log_weights, gain = logspace.normalize(cloud.log_weights + likelihood)
-        cloud = Cloud(cloud.particles, log_weights, cloud.ancestors)
-        return cloud, (cloud.mean(), cloud.cov(), gain, logspace.effective_size(log_weights))
+        log_weights, info = weigh(cloud.log_weights, likelihood, jnp.full((), jnp.inf, likelihood.dtype))
+        cloud = replace(cloud, log_weights=log_weights)
+        return cloud, (cloud.mean(), cloud.cov(), info.log_evidence, info.ess)
 
     def ahead(cloud: Cloud, t: jax.Array) -> tuple[Cloud, tuple[jax.Array, ...]]:
         step = random.step_key(key, t)

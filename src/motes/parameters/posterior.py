@@ -8,15 +8,11 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, static
+from motes.filters import keep
 from motes.filters.interface import Filter, as_state_space
 from motes.filters.run import checked_measurements, run
 from motes.laws.law import Law, as_law, drawn
 from motes.models.state_space import StateSpaceModel, at_step
-
-
-def nothing(law: Any) -> dict[str, jax.Array]:
-    """Keep nothing of a run."""
-    return {}
 
 
 @record
@@ -103,7 +99,7 @@ class Posterior(Parametric):
             theta: parameters `(p,)`.
         """
         prior = self.prior.log_prob(theta)
-        history = run(key, self.filter, self.model(theta), self.ys, self.inputs, nothing)
+        history = run(key, self.filter, self.model(theta), self.ys, self.inputs, keep.nothing)
         likelihood = jnp.where(jnp.any(history.info.collapsed), -jnp.inf, history.log_likelihood)
         # outside the prior the model need not make sense
         return jnp.where(jnp.isfinite(prior), prior + likelihood, -jnp.inf)

@@ -12,14 +12,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, linalg, logspace, random
+from motes.core import checks, logspace, random
 from motes.core.progress import tracked
 from motes.core.types import KeyLike
 from motes.filters.history import Carry
 from motes.filters.run import Engine
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.mcmc.interface import State, settle
+from motes.mcmc.metropolis import RandomWalkMetropolis
 from motes.models.state_space import at_step
+from motes.montecarlo.tempering import shaped
 from motes.parameters.posterior import Posterior
 from motes.resampling.schemes import Systematic
 
@@ -64,7 +66,7 @@ def smc_squared(key: KeyLike, posterior: Posterior, n: int, moves: int = 3, ess:
     checks.above_zero("smc_squared ess", ess, 1.0)
     key = random.as_key(key)
     thetas = posterior.prior.sample(random.child(key, random.INITIAL), n)
-    keys = _keys(random.child(key, random.FILTER), n)
+    keys = random.step_keys(random.child(key, random.FILTER), n)
     state, log_weights = _begun(posterior, thetas.T, keys), logspace.uniform_weights(n, thetas.dtype)
     told: list[tuple[Any, ...]] = []
     total = 0.0
@@ -83,10 +85,6 @@ def smc_squared(key: KeyLike, posterior: Posterior, n: int, moves: int = 3, ess:
         told[-1] = (*told[-1], rate)
     cloud = Cloud(state.position.T, log_weights, jnp.arange(n, dtype=jnp.int32))
     return Sequential(cloud, *(np.array(column) for column in zip(*told, strict=True)))
-
-
-def _keys(key: jax.Array, n: int) -> jax.Array:
-    return jax.vmap(lambda k: random.step_key(key, k))(jnp.arange(n))
 
 
 def _begin(posterior: Posterior, key: jax.Array, theta: jax.Array) -> Carry:
@@ -128,26 +126,23 @@ def _taken_in(posterior: Posterior, state: State, log_weights: jax.Array, t: jax
 def _moved(
     key: jax.Array, posterior: Posterior, state: State, log_weights: jax.Array, t: jax.Array, moves: int
 ) -> tuple[State, jax.Array]:
-    thetas = state.position.T
-    size, n = thetas.shape
-    cov = weighted_moments(log_weights, thetas)[1] + 1e-10 * jnp.eye(size, dtype=thetas.dtype)
-    factor = 2.38 / size**0.5 * linalg.cholesky(linalg.symmetric(cov))
-    ancestors = Systematic().ancestors(random.child(key, random.RESAMPLE), log_weights, n)
+    walk = shaped(RandomWalkMetropolis(), log_weights, state.position.T)
+    ancestors = Systematic().ancestors(random.child(key, random.RESAMPLE), log_weights, log_weights.shape[0])
     state = jax.tree.map(lambda leaf: leaf[ancestors], state)
     rates = []
     for turn in range(moves):
-        state, rate = _once(random.step_key(random.child(key, random.PREDICT), turn), posterior, state, factor, t)
+        state, rate = _once(random.step_key(random.child(key, random.PREDICT), turn), posterior, state, walk, t)
         rates.append(rate)
     return state, jnp.mean(jnp.stack(rates))
 
 
 @jax.jit
-def _once(key: jax.Array, posterior: Posterior, state: State, factor: jax.Array, t: jax.Array) -> tuple[State, jax.Array]:
+def _once(key: jax.Array, posterior: Posterior, state: State, walk: RandomWalkMetropolis, t: jax.Array) -> tuple[State, jax.Array]:
     """Move all parameters once, each with a new filter over the measurements so far."""
 
     def one(key: jax.Array, state: State) -> tuple[State, jax.Array]:
-        noise = random.normal(random.child(key, random.NOISE), state.position.shape, state.position.dtype)
-        theta, fresh = state.position + factor @ noise, random.child(key, random.FILTER)
+        theta, _ = walk.proposed(random.child(key, random.NOISE), state.position, t)
+        fresh = random.child(key, random.FILTER)
 
         def advance(step: jax.Array, held: tuple[Carry, jax.Array]) -> tuple[Carry, jax.Array]:
             carry, gain = _next(posterior, fresh, theta, held[0], step)
@@ -160,5 +155,5 @@ def _once(key: jax.Array, posterior: Posterior, state: State, factor: jax.Array,
         state, info = settle(random.child(key, random.UPDATE), state, State(theta, density, (fresh, carry)), density - state.log_density)
         return state, info.accepted[0]
 
-    state, accepted = jax.vmap(one)(_keys(key, state.log_density.shape[0]), state)
+    state, accepted = jax.vmap(one)(random.step_keys(key, state.log_density.shape[0]), state)
     return state, jnp.mean(accepted)

@@ -19,7 +19,7 @@ from motes.core.types import Inputs
 from motes.costs.calibrate import Calibration, calibrate
 from motes.costs.measure import seconds_per_step
 from motes.filters.interface import Filter
-from motes.io.table import Table
+from motes.io.result_table import Table
 from motes.models.simulate import simulate
 from motes.planning.candidates import candidates, given_candidates
 from motes.planning.needed import needed

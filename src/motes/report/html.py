@@ -19,7 +19,7 @@ import numpy as np
 
 from motes.core import checks
 from motes.io.archive import whole_file
-from motes.io.table import shown
+from motes.io.result_table import shown
 from motes.studies.result import StudyResult
 
 WIDTH, ROW, LEFT, RIGHT = 900, 34, 150, 20

@@ -13,7 +13,7 @@ class Sorted(Scheme):
     """Another scheme on particles sorted by one state (Deligiannidis, Doucet, Pitt 2018, for states of one dimension).
 
     The likelihoods of two runs that share most of their random numbers then differ little, which is what correlated pseudo-marginal chains
-    live on. Sorting costs about as much as ten resamplings.
+    live on.
 
     Attributes:
         scheme: how ancestors are drawn; one whose indices come out in order, such as `Systematic`.
@@ -35,7 +35,11 @@ class Sorted(Scheme):
     def resampled(self, key: jax.Array, cloud: W, first: jax.Array | None) -> W:
         """See `Scheme`."""
         drawn_by = cloud.log_weights if first is None else first
-        order = jnp.argsort(cloud.particles[self.by])  # type: ignore[attr-defined]
+        particles = getattr(cloud, "particles", None)
+        if particles is None or not 0 <= self.by < particles.shape[0]:
+            given = type(cloud).__name__ if particles is None else f"{particles.shape[0]} states in particles"
+            checks.refuse("Sorted by", f"a law of particles with a state {self.by}", given)
+        order = jnp.argsort(particles[self.by])
         ancestors = order[self.scheme.ancestors(key, drawn_by[order], drawn_by.shape[0])].astype(jnp.int32)
         picked: W = cloud.picked(ancestors)  # type: ignore[assignment]
         return picked if first is None else weighted_anew(picked, cloud.log_weights, first, ancestors)

@@ -9,7 +9,7 @@ import numpy as np
 from motes.core import checks
 from motes.core.record import record, static
 from motes.io import archive
-from motes.io.table import Table
+from motes.io.result_table import Table
 from motes.laws.conditional import wrap
 from motes.studies.experiment import Blocks, Experiment, places
 from motes.studies.store import Memory, Store

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from motes.core import checks
-from motes.io.table import Table
+from motes.io.result_table import Table
 
 COLUMNS = (
     "filter", "block", "RMSE", "s.e.", "median", "kept", "difference", "s.e. of it", "bias", "NEES/dim", "of bound", "lost", "s/step",

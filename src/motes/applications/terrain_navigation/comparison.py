@@ -26,7 +26,7 @@ from motes.filters.kernel import KalmanParticleKernelFilter
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.filters.regularized import RegularizedParticleFilter
 from motes.filters.run import run
-from motes.io.table import Table
+from motes.io.result_table import Table
 from motes.laws.conditional import Conditional
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.kernels import Regularization
