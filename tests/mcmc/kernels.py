@@ -44,6 +44,8 @@ def examples():
         "Block": mcmc.Block(1, mcmc.RandomWalkMetropolis(0.8)),
         "Mix": mcmc.Mix([walk, mcmc.MetropolisHastings(lopsided)], [1, 3]),
         "Repeat": mcmc.Repeat(walk, 3),
+        "Reparametrized": mcmc.Reparametrized(walk, lambda x: jnp.array([jnp.sinh(x[0]), x[1] * jnp.exp(x[0])]),
+                                              lambda z: jnp.array([jnp.arcsinh(z[0]), z[1] * jnp.exp(-jnp.arcsinh(z[0]))])),
     }
 
 

@@ -125,7 +125,14 @@ def test_interrupted_chains_are_given_back(monkeypatch):
     assert part.log_density.shape == (4, 120)
 
 
+def other(to, back, log_volume=None):
+    return dict(kernel=mcmc.Reparametrized(mcmc.RandomWalkMetropolis(1.0), to, back, log_volume), init=jnp.ones(2))
+
+
 REFUSED = [
+    (other(jnp.log, lambda z: jnp.exp(2 * z)), "Reparametrized back: expected the inverse of to, got .* by to"),
+    (other(lambda x: jnp.append(x, 0.0), lambda z: z[:2]), "Reparametrized to: expected 2 numbers, as many as in the position, got 3"),
+    (other(jnp.log, jnp.exp, lambda z: -jnp.sum(z) + 1), "Reparametrized log_volume: expected .* near the start, .* got"),
     (dict(kernel=3), "sample kernel: expected a kernel"),
     (dict(log_density=3), "sample log_density: expected a function"),
     (dict(draws=0), "sample draws: expected a whole number of at least 1"),
@@ -149,6 +156,8 @@ def test_refusals(changes, message):
 
 
 KNOBS = [
+    (lambda: mcmc.Reparametrized(3, jnp.log, jnp.exp), "Reparametrized kernel: expected a kernel"),
+    (lambda: mcmc.Reparametrized(mcmc.RandomWalkMetropolis(), 3, jnp.exp), "Reparametrized to: expected a function"),
     (lambda: mcmc.RandomWalkMetropolis(-1.0), "RandomWalkMetropolis scale: expected positive numbers"),
     (lambda: mcmc.RandomWalkMetropolis(jnp.ones((2, 3))), "RandomWalkMetropolis scale: expected a number"),
     (lambda: mcmc.IndependenceMetropolis(3), "IndependenceMetropolis law: expected a law"),
@@ -169,6 +178,23 @@ KNOBS = [
 def test_refused_knobs(make, message):
     with pytest.raises(MotesError, match=message):
         make()
+
+
+def test_moves_of_one_name_are_counted_apart():
+    kernel = mcmc.Cycle([mcmc.RandomWalkMetropolis(0.01), mcmc.RandomWalkMetropolis(1.0), mcmc.RandomWalkMetropolis(30.0)])
+    rates = mo.sample(0, kernel, log_density, jnp.zeros(2), draws=300).acceptance
+    assert rates["RandomWalkMetropolis"] > 0.9 > rates["RandomWalkMetropolis 2"] > rates["RandomWalkMetropolis 3"]
+
+
+def test_a_scale_is_drawn_by_its_logarithm():
+    """Gamma with shape 3: log x has no bound, and the draws are those of x."""
+    kernel = mcmc.Adaptive(mcmc.RandomWalkMetropolis(), steps=500)
+    kernel = mcmc.Reparametrized(kernel, lambda x: jnp.log(x), lambda z: jnp.exp(z), lambda z: jnp.sum(z))
+    chains = mo.sample(0, kernel, lambda x: jnp.where(x[0] > 0, 2 * jnp.log(x[0]) - x[0], -jnp.inf), jnp.ones(1), draws=8_000, chains=8)
+    draws = np.asarray(chains.positions)[..., 0].astype(float)
+    for power, truth in ((1, 3.0), (2, 12.0), (-1, 0.5)):
+        assert abs((draws**power).mean() - truth) < 4.9 * mcmc.standard_error(draws**power)
+    np.testing.assert_allclose(chains.log_density, 2 * np.log(draws) - draws, atol=2e-5)
 
 
 def test_no_warning_without_a_reason():

@@ -33,4 +33,5 @@ from .metropolis import RandomWalkMetropolis as RandomWalkMetropolis
 from .models import frequencies as frequencies
 from .multiple_try import MultipleTry as MultipleTry
 from .pseudo_marginal import PseudoMarginal as PseudoMarginal
+from .reparametrized import Reparametrized as Reparametrized
 from .reversible_jump import ReversibleJump as ReversibleJump

@@ -1,6 +1,7 @@
 """Kernels made of kernels: cycles, mixtures, repetitions, and kernels for a part of the position (Tierney 1994)."""
 
 from collections.abc import Mapping, Sequence
+from itertools import count
 from typing import Any
 
 import jax
@@ -19,8 +20,11 @@ class Compound(Kernel):
 
     @property
     def moves(self) -> tuple[str, ...]:
-        """Those of all kernels."""
-        return tuple(move for kernel in self.kernels for move in kernel.moves)
+        """Those of all kernels; a name that comes again is numbered."""
+        names: list[str] = []
+        for move in (move for kernel in self.kernels for move in kernel.moves):
+            names.append(move if move not in names else next(name for k in count(2) if (name := f"{move} {k}") not in names))
+        return tuple(names)
 
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Check each kernel."""
