@@ -96,11 +96,12 @@ def test_every_step_is_renewed_equally_often():
     assert np.abs(counts / 5_000 - 4 / 15).max() < 4.9 * np.sqrt(4 / 15 * 11 / 15 / 5_000)
 
 
-def test_particle_gibbs(exact):
-    chains = mo.sample(0, GIBBS, PATHS, PATHS.start, draws=2_000, chains=8, burn_in=200)
+@pytest.mark.parametrize("paths", [parameters.ParticleGibbs(15), parameters.RaoBlackwellizedParticleGibbs(1)],
+                         ids=["plain", "marginalized"])  # fmt: skip
+def test_particle_gibbs(exact, paths):
+    chains = mo.sample(0, mcmc.Cycle([paths, GIBBS.kernels[1]]), PATHS, PATHS.start, draws=2_000, chains=8, burn_in=200)
     close(chains.positions["theta"], exact)
-    # and the path, given the parameters' law: its mean lies within the measurements' reach
-    assert chains.acceptance["ParticleGibbs"] > 0.8
+    assert chains.acceptance[type(paths).__name__] > 0.8
 
 
 @pytest.mark.parametrize("scheme", [mo.Multinomial(), mo.Systematic(), mo.Killing()], ids=lambda scheme: type(scheme).__name__)
@@ -115,6 +116,49 @@ def test_paths_given_parameters_have_the_smoothers_law(scheme):
         for power, truth in ((1, smoothed.mean[t, 0]), (2, smoothed.cov[t, 0, 0] + smoothed.mean[t, 0] ** 2)):
             values = paths[..., t] ** power
             assert abs(values.mean() - float(truth)) < 5.3 * mcmc.standard_error(values)
+
+
+def pair(theta):
+    """Two states of which both, one or none may be marginalized; correlated, with a jump in the cross terms."""
+    return mo.StateSpaceModel(mo.Gaussian(jnp.array([0.5, 0.0]), jnp.array([[1.0, 0.4], [0.4, 0.6]])),
+                              mo.LinearGaussian(jnp.array([[0.8, 0.5], [-0.1, 0.9]]), jnp.array([[0.3, 0.1], [0.1, 0.2]])),
+                              mo.LinearGaussian(jnp.array([[1.0, 0.3]]), jnp.array([[0.4]])), ("a", "b"))  # fmt: skip
+
+
+PAIR_YS = jnp.asarray(mo.simulate(5, pair(None), STEPS)[1]).at[6].set(jnp.nan)
+
+
+@pytest.mark.parametrize("n, linear", [(4, ("b",)), (6, ("a",)), (1, None)], ids=["b", "a", "both"])
+def test_half_marginalized_paths_have_the_smoothers_law(n, linear):
+    kernel = parameters.RaoBlackwellizedParticleGibbs(n, linear)
+    fixed = parameters.PathPosterior(mo.Gaussian(jnp.zeros(1), 1e-12 * jnp.eye(1)), pair, PAIR_YS)
+    chains = mo.sample(1, kernel, fixed, fixed.start, draws=4_000, chains=8, burn_in=100)
+    smoothed = mo.smooth(0, mo.RauchTungStriebelSmoother(), pair(None), mo.run(0, mo.KalmanFilter(), pair(None), PAIR_YS))
+    paths = np.asarray(chains.positions["path"]).astype(float)
+    second = np.asarray(smoothed.cov) + np.asarray(smoothed.mean)[:, :, None] * np.asarray(smoothed.mean)[:, None]
+    for t in range(STEPS):
+        a, b = paths[..., t, 0], paths[..., t, 1]
+        for values, truth in ((a, smoothed.mean[t, 0]), (b, smoothed.mean[t, 1]), (a * a, second[t, 0, 0]),
+                              (a * b, second[t, 0, 1]), (b * b, second[t, 1, 1])):  # fmt: skip
+            assert abs(values.mean() - float(truth)) < 5.5 * mcmc.standard_error(values)
+
+
+def test_marginalized_paths_mix_better():
+    """A position with a bent sensor and bent dynamics, driven by two linear states: the same law, and fewer draws for it."""
+    def driven(x, u, t):
+        return jnp.stack([0.5 * x[0] + 3 * jnp.sin(x[0] / 2) + x[1], 0.95 * x[1] + 0.1 * x[2], 0.9 * x[2]])
+
+    bent = mo.StateSpaceModel(mo.Gaussian(jnp.zeros(3), jnp.eye(3)), mo.AdditiveGaussian(driven, 0.1 * jnp.eye(3)),
+                              mo.AdditiveGaussian(lambda x, u, t: x[:1] ** 2 / 5 + x[:1], 0.1 * jnp.eye(1)))  # fmt: skip
+    fixed = parameters.PathPosterior(mo.Gaussian(jnp.zeros(1), jnp.eye(1)), lambda _: bent, mo.simulate(2, bent, 40)[1])
+    kernels = parameters.ParticleGibbs(15), parameters.RaoBlackwellizedParticleGibbs(15)
+    plain, other = (np.asarray(mo.sample(0, kernel, fixed, fixed.start, draws=2_000, burn_in=200).positions["path"], float)
+                    for kernel in kernels)  # fmt: skip
+    for t in (0, 13, 26, 39):
+        for state in range(3):
+            one, two = plain[..., t, state], other[..., t, state]
+            assert abs(one.mean() - two.mean()) < 4.9 * np.hypot(mcmc.standard_error(one), mcmc.standard_error(two))
+    assert mcmc.bulk_ess(other[..., 13, 2]) > 3 * mcmc.bulk_ess(plain[..., 13, 2])
 
 
 def test_smc_squared(exact):
@@ -226,6 +270,9 @@ REFUSED = [
     (lambda: mcmc.PseudoMarginal(mcmc.NUTS()), "PseudoMarginal kernel: expected RandomWalkMetropolis"),
     (lambda: mo.sample(0, mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), lambda x: -(x[0] ** 2), jnp.zeros(1)), "one with a method"),
     (lambda: mo.sample(0, parameters.ParticleGibbs(5), lambda p: 0 * p["theta"][0], {"theta": jnp.zeros(2)}), "a mo.parameters.Path"),
+    (lambda: parameters.RaoBlackwellizedParticleGibbs(0), "RaoBlackwellizedParticleGibbs n: expected a whole number of at least 1"),
+    (lambda: mo.sample(0, parameters.RaoBlackwellizedParticleGibbs(5), lambda p: 0 * p["theta"][0], {"theta": jnp.zeros(2)}),
+     "RaoBlackwellizedParticleGibbs log_density: expected a mo.parameters.Path"),
     (lambda: parameters.smc_squared(0, PATHS, 10), "smc_squared posterior: expected a mo.parameters.Posterior"),
     (lambda: parameters.liu_west(0, PATHS, 10, discount=1.5), "liu_west discount: expected a number between"),
     (lambda: parameters.liu_west(0, 3, 10), "liu_west given: expected"),

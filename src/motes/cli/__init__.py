@@ -1,1 +1,1 @@
-"""Rank 8: the command line."""
+"""Rank 9: the command line."""

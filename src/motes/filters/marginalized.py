@@ -92,16 +92,7 @@ class MarginalizedParticleFilter(TwoStageFilter):
         def move(noise_key: jax.Array, cloud: MarginalCloud) -> MarginalCloud:
             if smooth is not None:
                 cloud = replace(cloud, particles=smooth(random.child(noise_key, random.NOISE), cloud.particles))
-            own, other = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
-            if model.drives:
-                expected = cloud.kalman.through(own.A, own.f, own.Q)
-                surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(noise_key, own.f.shape[-1])
-                informed = cloud.kalman.corrected(surprise, own.A, own.Q).law
-                moved = expected.center + surprise
-            else:
-                informed, moved = cloud.kalman, Gaussian(own.f, own.Q).sample(noise_key, own.f.shape[-1])
-            f, A, Q = _decorrelated(own, other, model.cross_cov(cloud.particles, example, u, t), moved)
-            return replace(cloud, particles=moved, kalman=informed.through(A, f, Q))
+            return moved(noise_key, model, cloud, example, u, t)
 
         def predict_only(noise_key: jax.Array, cloud: MarginalCloud) -> MarginalCloud:
             other = model.over("kalman", cloud.particles, example, u, t)
@@ -124,6 +115,34 @@ class MarginalizedParticleFilter(TwoStageFilter):
             return replace(cloud, kalman=kalman), likelihood, peak
 
         return reweigh(state, judge)
+
+
+def moved(
+    key: jax.Array, model: SplitModel, cloud: MarginalCloud, example: jax.Array, u: Any, t: Any, first: jax.Array | None = None
+) -> MarginalCloud:
+    """Move the particles, then correct and predict their Gaussians (steps 3 and 4).
+
+    Args:
+        key: of the noise.
+        model: split.
+        cloud: what is moved.
+        example: a particle `(p,)`, for what is the same for all.
+        u: inputs of the step.
+        t: its number.
+        first: where the first particle goes `(p,)`, for conditional sequential Monte Carlo; None draws it like the others.
+    """
+    own, other = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
+    if model.drives:
+        expected = cloud.kalman.through(own.A, own.f, own.Q)
+        surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, own.f.shape[-1])
+        if first is not None:
+            surprise = surprise.at[:, 0].set(first - expected.center[:, 0])
+        informed, there = cloud.kalman.corrected(surprise, own.A, own.Q).law, expected.center + surprise
+    else:
+        informed, there = cloud.kalman, Gaussian(own.f, own.Q).sample(key, own.f.shape[-1])
+        there = there if first is None else there.at[:, 0].set(first)
+    f, A, Q = _decorrelated(own, other, model.cross_cov(cloud.particles, example, u, t), there)
+    return replace(cloud, particles=there, kalman=informed.through(A, f, Q))
 
 
 def _decorrelated(own: Affine, other: Affine, cross_cov: jax.Array | None, moved: jax.Array) -> Affine:

@@ -170,10 +170,13 @@ class JoinedInitial(Law):
 def initial_split(key: jax.Array, initial_p: Law, initial_k: Gaussian, gain: jax.Array | None, n: int) -> tuple[jax.Array, jax.Array]:
     """Draw x_p `(p, n)` and give the mean of x_k `(k, n)` for each."""
     x_p = initial_p.sample(random.child(key, 0), n)
-    means = jnp.broadcast_to(initial_k.center[:, None], (initial_k.center.shape[0], n))
-    if gain is None:
-        return x_p, means
-    return x_p, means + gain @ (x_p - initial_p.mean()[:, None])
+    return x_p, initial_means(initial_p, initial_k, gain, x_p)
+
+
+def initial_means(initial_p: Law, initial_k: Gaussian, gain: jax.Array | None, x_p: jax.Array) -> jax.Array:
+    """Return the mean of x_k `(k, n)` given each x_p `(p, n)`."""
+    means = jnp.broadcast_to(initial_k.center[:, None], (initial_k.center.shape[0], x_p.shape[1]))
+    return means if gain is None else means + gain @ (x_p - initial_p.mean()[:, None])
 
 
 def user_order(linear: tuple[int, ...], size: int) -> tuple[int, ...]:

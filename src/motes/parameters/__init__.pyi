@@ -3,7 +3,8 @@ from .iterated_filtering import iterated_filtering as iterated_filtering
 from .liu_west import Tracked as Tracked
 from .liu_west import liu_west as liu_west
 from .particle_gibbs import ParticleGibbs as ParticleGibbs
-from .posterior import PathPosterior as PathPosterior
+from .paths import PathPosterior as PathPosterior
 from .posterior import Posterior as Posterior
+from .rao_blackwellized_gibbs import RaoBlackwellizedParticleGibbs as RaoBlackwellizedParticleGibbs
 from .smc_squared import Sequential as Sequential
 from .smc_squared import smc_squared as smc_squared

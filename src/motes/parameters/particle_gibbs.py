@@ -16,14 +16,14 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, static
 from motes.filters.interface import as_particle_model, ask_density
 from motes.laws.cloud import draw
-from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State
+from motes.mcmc.interface import LogDensity, Position
 from motes.models.state_space import StateSpaceModel, at_step
-from motes.parameters.posterior import PathPosterior
+from motes.parameters.paths import DrawsPaths, PathPosterior
 from motes.resampling.schemes import Multinomial, Scheme
 
 
 @record
-class ParticleGibbs(Kernel):
+class ParticleGibbs(DrawsPaths):
     """Draws a path given the parameters; needs a `parameters.PathPosterior`.
 
     Attributes:
@@ -46,26 +46,16 @@ class ParticleGibbs(Kernel):
 
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Ask for a posterior of parameters and path, and dynamics with a density."""
-        if not isinstance(log_density, PathPosterior):
-            checks.refuse("ParticleGibbs log_density", "a mo.parameters.PathPosterior", type(log_density).__name__)
-        self._model(log_density, position)
+        self._model(self.asked(log_density), position)
 
-    def _model(self, posterior: Any, position: Position) -> StateSpaceModel:
+    def _model(self, posterior: PathPosterior, position: Position) -> StateSpaceModel:
         model = as_particle_model("ParticleGibbs", posterior.model(position["theta"]), transition_density=False)
         ask_density("ParticleGibbs dynamics", model.dynamics, " (ancestors of the path are drawn by it)")
         return model
 
-    def step(self, key: jax.Array, log_density: Any, state: State, t: Any) -> tuple[State, Info]:
-        """Draw a new path."""
-        old = state.position["path"]
-        path = self.path(key, self._model(log_density, state.position), log_density, old)
-        position = {**state.position, "path": path}
-        # how often the path of a step is another one: the share that tells how well it mixes
-        changed = jnp.mean(jnp.any(path != old, axis=1), dtype=jnp.result_type(float))
-        return State(position, log_density(position)), Info.of_one(changed)
-
-    def path(self, key: jax.Array, model: StateSpaceModel, posterior: PathPosterior, old: jax.Array) -> jax.Array:
-        """Draw a path `(t, x)` given another one, with the path's law left as it is."""
+    def path(self, key: jax.Array, posterior: PathPosterior, position: Position) -> jax.Array:
+        """See `DrawsPaths`."""
+        model, old = self._model(posterior, position), position["path"]
 
         def weighed(X: jax.Array, t: Any) -> jax.Array:
             likelihood = model.sensor.log_prob(posterior.ys[t], X, at_step(posterior.inputs, t), t)

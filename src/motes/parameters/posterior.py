@@ -9,10 +9,9 @@ import jax.numpy as jnp
 from motes.core import checks, random
 from motes.core.record import record, static
 from motes.filters import keep
-from motes.filters.interface import Filter, as_state_space
+from motes.filters.interface import Filter
 from motes.filters.run import checked_measurements, run
 from motes.laws.law import Law, as_law, drawn
-from motes.models.state_space import StateSpaceModel, at_step
 
 
 @record
@@ -103,41 +102,3 @@ class Posterior(Parametric):
         likelihood = jnp.where(jnp.any(history.info.collapsed), -jnp.inf, history.log_likelihood)
         # outside the prior the model need not make sense
         return jnp.where(jnp.isfinite(prior), prior + likelihood, -jnp.inf)
-
-
-@record
-class PathPosterior(Parametric):
-    """Log density of parameters and path together; positions are {"theta": `(p,)`, "path": `(t, x)`}."""
-
-    def __init__(self, prior: Any, model: Callable[[jax.Array], Any], ys: Any, inputs: Any = None):
-        """Check that the parts fit each other; see `Parametric`."""
-        Parametric.__init__(self, prior, model, ys, inputs)
-
-    def __call__(self, position: dict[str, jax.Array]) -> jax.Array:
-        """Return log p(theta) + log p(path | theta) + log p(ys | path, theta)."""
-        theta, path = position["theta"], position["path"]
-        model: StateSpaceModel = as_state_space("PathPosterior", self.model(theta))
-
-        def moved(t: jax.Array) -> jax.Array:
-            return model.dynamics.log_prob(path[t][:, None], path[t - 1][:, None], at_step(self.inputs, t), t)[0]
-
-        def measured(t: jax.Array) -> jax.Array:
-            return model.sensor.log_prob(self.ys[t], path[t][:, None], at_step(self.inputs, t), t)[0]
-
-        steps = jnp.arange(path.shape[0], dtype=jnp.int32)
-        total = model.initial.log_prob(path[0]) + jnp.sum(jax.vmap(moved)(steps[1:])) + jnp.sum(jax.vmap(measured)(steps))
-        prior = self.prior.log_prob(theta)
-        return jnp.where(jnp.isfinite(prior), prior + total, -jnp.inf)
-
-    def start(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Draw parameters from the prior and a path from the model."""
-        theta = self.starts(random.child(key, random.INITIAL))
-        model = as_state_space("PathPosterior", self.model(theta))
-        first = model.initial.sample(random.child(key, random.WORLD), 1)
-
-        def ahead(x: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
-            x = model.dynamics.sample(random.step_key(key, t), x, at_step(self.inputs, t), t)
-            return x, x[:, 0]
-
-        _, rest = jax.lax.scan(ahead, first, jnp.arange(1, self.ys.shape[0], dtype=jnp.int32))
-        return {"theta": theta, "path": jnp.concatenate([first.T, rest])}

@@ -1,1 +1,1 @@
-"""Rank 7: pictures; with `report` the only importer of matplotlib."""
+"""Rank 8: pictures; with `report` the only importer of matplotlib."""
