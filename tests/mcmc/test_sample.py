@@ -169,6 +169,8 @@ KNOBS = [
     (lambda: mcmc.Adaptive(mcmc.Cycle([mcmc.HMC()])), "Adaptive kernel: expected RandomWalkMetropolis"),
     (lambda: mcmc.Gibbs({}), "Gibbs draws: expected a dictionary"),
     (lambda: mcmc.Gibbs({"a": 3}), "Gibbs draws\\['a'\\]: expected a function"),
+    (lambda: mcmc.HMC(leaps=0), "HMC leaps: expected a whole number of at least 1"),
+    (lambda: mcmc.NUTS(doublings=1.5), "NUTS doublings: expected a whole number"),
     (lambda: mcmc.HMC(scale=0.0), "HMC scale: expected a number above 0"),
     (lambda: mcmc.joined([]), "pieces: expected at least one Chains"),
 ]

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from motes.core import checks
+from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.mcmc.interface import Info, Kernel, LogDensity, State, Tunable
 
@@ -53,8 +53,8 @@ class GradientKernel(Kernel, Tunable):
         return replace(self, scale=scale, factor=factor)
 
     @abstractmethod
-    def trajectory(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
-        """Return blackjax's module, and what its step takes after the density."""
+    def trajectory(self, key: jax.Array, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+        """Return blackjax's module, and what its step takes after the density; the key is for what it draws beforehand."""
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make one step."""
@@ -67,9 +67,9 @@ class GradientKernel(Kernel, Tunable):
             value = log_density(rebuild(there(z)))
             return jnp.where(jnp.isnan(value) | (value == jnp.inf), -jnp.inf, value)
 
-        module, options = self.trajectory(x.shape[0], x.dtype)
+        module, options = self.trajectory(random.child(key, random.INITIAL), x.shape[0], x.dtype)
         begun = module.init(jnp.zeros_like(x), judged)
-        found, told = module.build_kernel()(key, begun, judged, *options)
+        found, told = module.build_kernel()(random.child(key, random.PREDICT), begun, judged, *options)
         # rounding in x + 0 must not move a chain that stays
         stays = jnp.all(found.position == 0)
         position = jax.tree.map(lambda new, old: jnp.where(stays, old, new), rebuild(there(found.position)), state.position)
@@ -85,30 +85,40 @@ class MALA(GradientKernel):
         """0.574 (Roberts, Rosenthal 1998)."""
         return 0.574
 
-    def trajectory(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+    def trajectory(self, key: jax.Array, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Take trajectories of a single leap, which are Langevin steps; blackjax's own say nothing of densities that are no numbers."""
         return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), 1)
 
 
 @record
 class HMC(GradientKernel):
-    """Hamiltonian trajectories of a fixed number of leaps.
+    """Hamiltonian trajectories of a random number of leaps (Mackenzie 1989): those of one length may come back to where they began.
 
     Attributes:
         scale: of a leap, `()`.
         factor: see `GradientKernel`.
-        leaps: in a trajectory.
+        leaps: the most of a trajectory; each number from 1 on is equally likely.
     """
 
     leaps: int = static(default=10)
+
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: the scale is not positive, or leaps no positive whole number.
+        """
+        GradientKernel.__post_init__(self)
+        checks.positive_integer("HMC leaps", self.leaps)
 
     def target(self, size: int) -> float:
         """0.65 (Beskos et al. 2013), a little more to be safe: 0.75."""
         return 0.75
 
-    def trajectory(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+    def trajectory(self, key: jax.Array, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Take trajectories."""
-        return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), self.leaps)
+        leaps = 1 + jnp.int32(self.leaps * random.uniform(key, (), jnp.float32))
+        return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), leaps)
 
 
 @record
@@ -123,10 +133,19 @@ class NUTS(GradientKernel):
 
     doublings: int = static(default=10)
 
+    def __post_init__(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: the scale is not positive, or doublings no positive whole number.
+        """
+        GradientKernel.__post_init__(self)
+        checks.positive_integer("NUTS doublings", self.doublings)
+
     def target(self, size: int) -> float:
         """0.8 (Hoffman, Gelman 2014)."""
         return 0.8
 
-    def trajectory(self, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
+    def trajectory(self, key: jax.Array, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Take trajectories that stop in time."""
         return checks.need("blackjax.mcmc.nuts", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), self.doublings)
