@@ -21,7 +21,9 @@ from motes.studies.store import LEDGER, Store
 
 RUNS = 80
 CHILD = """
+import signal
 import sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell that starts the suite in its background has it ignored
 import motes as mo
 from motes.studies.store import Store
 from study_models import experiment
