@@ -28,6 +28,7 @@ class Learned:
     Attributes:
         log_scale: of the steps, `()`.
         factor: L of the density's covariance L L', `(x, x)`.
+        own: steps so far, `()`; fewer than the chain's where the kernel is one of a `Mix`.
         since: steps since the shape was changed, `()`.
         mean: of the positions since then, `(x,)`.
         scatter: sum of their squared deviations from it, `(x, x)`.
@@ -36,6 +37,7 @@ class Learned:
 
     log_scale: jax.Array
     factor: jax.Array
+    own: jax.Array
     since: jax.Array
     mean: jax.Array
     scatter: jax.Array
@@ -47,7 +49,7 @@ class Adaptive(Wrapper):
     """A kernel that is tuned during the first steps of a chain, each chain on its own.
 
     Attributes:
-        kernel: `RandomWalkMetropolis`, `MALA`, `HMC` or `NUTS`; its own scale is where learning starts.
+        kernel: `RandomWalkMetropolis`, `MALA`, `HMC` or `NUTS`; its own scale and factor do not count.
         steps: how long it learns; not longer than the burn-in, since draws made meanwhile do not have the right law.
         target: acceptance probability; the kernel's own if not given.
     """
@@ -74,7 +76,7 @@ class Adaptive(Wrapper):
         first = jnp.log(jnp.asarray(self.kernel.first_scale(x.shape[0]), x.dtype))
         none, nothing = jnp.zeros((), x.dtype), jnp.zeros_like(x)
         inner = super().remembered(log_density, position)
-        return Learned(first, jnp.eye(x.shape[0], dtype=x.dtype), none, nothing, jnp.outer(nothing, nothing), inner)
+        return Learned(first, jnp.eye(x.shape[0], dtype=x.dtype), jnp.int32(0), none, nothing, jnp.outer(nothing, nothing), inner)
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make a step and learn from it."""
@@ -94,15 +96,15 @@ class Adaptive(Wrapper):
         mean = known.mean + off / n
         scatter = known.scatter + jnp.outer(off, x - mean)
         log_scale = known.log_scale + n**-0.6 * (accepted - target)
-        gathered = replace(known, log_scale=log_scale, since=n, mean=mean, scatter=scatter)
+        own = known.own + 1
+        gathered = replace(known, log_scale=log_scale, own=own, since=n, mean=mean, scatter=scatter)
 
         def reshaped() -> Learned:
             old = jnp.matmul(known.factor, known.factor.T, precision=jax.lax.Precision.HIGHEST)
             cov = linalg.symmetric((scatter + PRIOR_DRAWS * old) / (n + PRIOR_DRAWS))
             first = jnp.log(jnp.asarray(self.kernel.first_scale(size), x.dtype))
-            return Learned(first, linalg.cholesky(cov), jnp.zeros_like(n), jnp.zeros_like(x), jnp.zeros_like(scatter), known.inner)
+            return Learned(first, linalg.cholesky(cov), own, jnp.zeros_like(n), jnp.zeros_like(x), jnp.zeros_like(scatter), known.inner)
 
         # windows end at 32, 64, 128, ... steps, and none so late that the scale could not settle
-        done = t + 1
-        ends = (done >= FIRST_WINDOW) & (done & (done - 1) == 0) & (done <= 0.8 * self.steps)
+        ends = (own >= FIRST_WINDOW) & (own & (own - 1) == 0) & (t + 1 <= 0.8 * self.steps)
         return jax.lax.cond(ends, reshaped, lambda: gathered)

@@ -84,7 +84,7 @@ class ReversibleJump(Kernel):
 
     def remembered(self, log_density: LogDensity, position: Position) -> Any:
         """Return the memory of the kernel that moves within models."""
-        return () if self.within is None else self.within.remembered(_given(log_density, position.model), position.x)
+        return () if self.within is None else self.within.remembered(self._given(log_density, position.model), position.x)
 
     def init(self, key: jax.Array, log_density: LogDensity, position: Position) -> State:
         """Return the state of a chain, with zeros where nothing lives."""
@@ -93,6 +93,10 @@ class ReversibleJump(Kernel):
     def _padded(self, position: Configuration) -> Configuration:
         live = jnp.arange(position.x.shape[0]) < self.size(position.model)
         return Configuration(position.model, jnp.where(live, position.x, 0))
+
+    def _given(self, log_density: LogDensity, model: Any) -> LogDensity:
+        """Density of x within a model, whatever stands where nothing lives."""
+        return lambda x: log_density(self._padded(Configuration(model, x)))
 
     def _log_jumps(self, position: Configuration) -> jax.Array:
         """Log probabilities of the jumps, `(m,)`."""
@@ -154,7 +158,7 @@ class ReversibleJump(Kernel):
         """Move x within its model."""
         model = state.position.model
         inner = State(state.position.x, state.log_density, state.memory)
-        after, info = within.step(random.child(key, random.MEASURE), _given(log_density, model), inner, t)
+        after, info = within.step(random.child(key, random.MEASURE), self._given(log_density, model), inner, t)
         return State(self._padded(Configuration(model, after.position)), after.log_density, after.memory), Info.joined([jumped, info])
 
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
@@ -182,11 +186,7 @@ class ReversibleJump(Kernel):
                 checks.refuse(f"ReversibleJump jumps[{name!r}]", wanted, given)
             here = found.position if np.isfinite(float(log_density(found.position))) else here
         if self.within is not None:
-            self.within.check(key, _given(log_density, here.model), here.x)
-
-
-def _given(log_density: LogDensity, model: Any) -> LogDensity:
-    return lambda x: log_density(Configuration(model, x))
+            self.within.check(key, self._given(log_density, here.model), here.x)
 
 
 def _log_shares(log_weights: jax.Array) -> jax.Array:

@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import random
+from motes.core import checks, random
 from motes.filters.interface import as_state_space
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Custom
@@ -36,6 +36,9 @@ def augmented(given: Parametric, thetas: jax.Array, key: jax.Array, deviations: 
     def judged(y: jax.Array, z: jax.Array, u: Any, t: Any) -> jax.Array:
         return of(z).sensor.log_prob(y, z[size:, None], u, t)[0]
 
+    if of(thetas[:, 0]).noise_cross_cov is not None:
+        checks.refuse("parameters model", "measurement noise that is independent of the process noise", "noise_cross_cov",
+                      "Use PMMH, particle Gibbs or smc_squared.")
     keys = random.step_keys(key, n)
     X = jax.vmap(lambda key, theta: of(theta).initial.sample(key, 1)[:, 0], in_axes=(0, -1), out_axes=-1)(keys, thetas)
     return StateSpaceModel(Cloud.equal(jnp.concatenate([thetas, X])), Custom(moved), Custom(log_prob=judged))

@@ -78,9 +78,7 @@ def _filtered(key: jax.Array, given: Parametric, n: int, a: Any) -> tuple[Cloud,
     model = augmented(given, thetas, random.child(opening, random.WORLD), jnp.zeros(size, thetas.dtype))
 
     def weighed(cloud: Cloud, t: Any) -> tuple[Cloud, tuple[jax.Array, ...]]:
-        likelihood = model.sensor.log_prob(given.ys[t], cloud.particles, at_step(given.inputs, t), t)
-        # nothing measured changes nothing
-        likelihood = jnp.where(jnp.all(jnp.isnan(given.ys[t])), 0.0, likelihood)
+        likelihood = given.log_likelihood(model, cloud.particles, at_step(given.inputs, t), t)
         log_weights, info = weigh(cloud.log_weights, likelihood, jnp.full((), jnp.inf, likelihood.dtype))
         cloud = replace(cloud, log_weights=log_weights)
         return cloud, (cloud.mean(), cloud.cov(), info.log_evidence, info.ess)

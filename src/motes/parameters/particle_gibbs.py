@@ -17,7 +17,7 @@ from motes.core.record import record, static
 from motes.filters.interface import as_particle_model, ask_density
 from motes.laws.cloud import draw
 from motes.mcmc.interface import LogDensity, Position
-from motes.models.state_space import StateSpaceModel, at_step
+from motes.models.state_space import at_step
 from motes.parameters.paths import DrawsPaths, PathPosterior
 from motes.resampling.schemes import Multinomial, Scheme
 
@@ -46,24 +46,19 @@ class ParticleGibbs(DrawsPaths):
 
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Ask for a posterior of parameters and path, and dynamics with a density."""
-        self._model(self.asked(log_density), position)
-
-    def _model(self, posterior: PathPosterior, position: Position) -> StateSpaceModel:
-        model = as_particle_model("ParticleGibbs", posterior.model(position["theta"]), transition_density=False)
+        model = as_particle_model("ParticleGibbs", self.asked(log_density).at(position["theta"])[0], transition_density=False)
         ask_density("ParticleGibbs dynamics", model.dynamics, " (ancestors of the path are drawn by it)")
-        return model
 
     def path(self, key: jax.Array, posterior: PathPosterior, position: Position) -> jax.Array:
         """See `DrawsPaths`."""
-        model, old = self._model(posterior, position), position["path"]
+        (model, inputs), old = posterior.at(position["theta"]), position["path"]
 
         def weighed(X: jax.Array, t: Any) -> jax.Array:
-            likelihood = model.sensor.log_prob(posterior.ys[t], X, at_step(posterior.inputs, t), t)
-            return logspace.normalize(jnp.where(jnp.isnan(likelihood), -jnp.inf, likelihood))[0]
+            return logspace.normalize(posterior.log_likelihood(model, X, at_step(inputs, t), t))[0]
 
         def ahead(held: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
             X, log_weights = held
-            step, u = random.step_key(key, t), at_step(posterior.inputs, t)
+            step, u = random.step_key(key, t), at_step(inputs, t)
             toward = jnp.broadcast_to(old[t][:, None], X.shape)
             linked = logspace.normalize(log_weights + model.dynamics.log_prob(toward, X, u, t))[0]
             parent = draw(random.child(step, random.INITIAL), linked, 1)[0]

@@ -11,7 +11,7 @@ from motes.core import checks, random
 from motes.core.record import record
 from motes.filters.interface import as_state_space
 from motes.mcmc.interface import Info, Kernel, Position, State
-from motes.models.state_space import StateSpaceModel, at_step
+from motes.models.state_space import StateSpaceModel, at_step, driven
 from motes.parameters.posterior import Parametric
 
 
@@ -23,16 +23,20 @@ class PathPosterior(Parametric):
         """Check that the parts fit each other; see `Parametric`."""
         Parametric.__init__(self, prior, model, ys, inputs)
 
+    def at(self, theta: jax.Array) -> tuple[StateSpaceModel, Any]:
+        """Return the model of these parameters, its noises independent, and the inputs of its steps."""
+        return driven(as_state_space("PathPosterior", self.model(theta)), self.inputs, self.ys)
+
     def __call__(self, position: dict[str, jax.Array]) -> jax.Array:
         """Return log p(theta) + log p(path | theta) + log p(ys | path, theta)."""
         theta, path = position["theta"], position["path"]
-        model: StateSpaceModel = as_state_space("PathPosterior", self.model(theta))
+        model, inputs = self.at(theta)
 
         def moved(t: jax.Array) -> jax.Array:
-            return model.dynamics.log_prob(path[t][:, None], path[t - 1][:, None], at_step(self.inputs, t), t)[0]
+            return model.dynamics.log_prob(path[t][:, None], path[t - 1][:, None], at_step(inputs, t), t)[0]
 
         def measured(t: jax.Array) -> jax.Array:
-            return model.sensor.log_prob(self.ys[t], path[t][:, None], at_step(self.inputs, t), t)[0]
+            return self.log_likelihood(model, path[t][:, None], at_step(inputs, t), t)[0]
 
         steps = jnp.arange(path.shape[0], dtype=jnp.int32)
         total = model.initial.log_prob(path[0]) + jnp.sum(jax.vmap(moved)(steps[1:])) + jnp.sum(jax.vmap(measured)(steps))
@@ -42,11 +46,11 @@ class PathPosterior(Parametric):
     def start(self, key: jax.Array) -> dict[str, jax.Array]:
         """Draw parameters from the prior and a path from the model."""
         theta = self.starts(random.child(key, random.INITIAL))
-        model = as_state_space("PathPosterior", self.model(theta))
+        model, inputs = self.at(theta)
         first = model.initial.sample(random.child(key, random.WORLD), 1)
 
         def ahead(x: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
-            x = model.dynamics.sample(random.step_key(key, t), x, at_step(self.inputs, t), t)
+            x = model.dynamics.sample(random.step_key(key, t), x, at_step(inputs, t), t)
             return x, x[:, 0]
 
         _, rest = jax.lax.scan(ahead, first, jnp.arange(1, self.ys.shape[0], dtype=jnp.int32))

@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
-from motes.core.record import record, static
+from motes.core.record import record, replace, static
 from motes.filters import keep
 from motes.filters.interface import Filter
 from motes.filters.run import checked_measurements, run
 from motes.laws.law import Law, as_law, drawn
+from motes.models.state_space import StateSpaceModel
 
 
 @record
@@ -53,6 +54,11 @@ class Parametric:
     def steps(self) -> int:
         """Number of measurements."""
         return self.ys.shape[0]
+
+    def log_likelihood(self, model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Return the log density of the measurement of step t at states `(x, n)`, `(n,)`: 0 where nothing was measured, -inf for NaN."""
+        found = model.sensor.log_prob(self.ys[t], X, u, t)
+        return jnp.where(jnp.all(jnp.isnan(self.ys[t])), 0.0, jnp.where(jnp.isnan(found), -jnp.inf, found))
 
     def starts(self, key: jax.Array) -> jax.Array:
         """Draw parameters `(p,)` from the prior: for `init` of `mo.sample`."""
@@ -98,7 +104,9 @@ class Posterior(Parametric):
             theta: parameters `(p,)`.
         """
         prior = self.prior.log_prob(theta)
-        history = run(key, self.filter, self.model(theta), self.ys, self.inputs, keep.nothing)
+        # a position where all weights vanish is an improbable one, not an error
+        quiet = replace(self.filter, on_collapse="predict") if self.filter.on_collapse == "raise" else self.filter
+        history = run(key, quiet, self.model(theta), self.ys, self.inputs, keep.nothing)
         likelihood = jnp.where(jnp.any(history.info.collapsed), -jnp.inf, history.log_likelihood)
         # outside the prior the model need not make sense
         return jnp.where(jnp.isfinite(prior), prior + likelihood, -jnp.inf)

@@ -52,8 +52,8 @@ class RaoBlackwellizedParticleGibbs(DrawsPaths):
 
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Ask for a posterior of parameters and path, and a model that splits; particles want company."""
-        posterior = self.asked(log_density)
-        model = split(posterior.model(position["theta"]), self.linear, at_step(posterior.inputs, 0))
+        given, inputs = self.asked(log_density).at(position["theta"])
+        model = split(given, self.linear, at_step(inputs, 0))
         if self.n < 2 and len(model.mixed.linear) < len(model.mixed.order):
             checks.refuse("RaoBlackwellizedParticleGibbs n", "at least 2 (one follows the path)", self.n)
 
