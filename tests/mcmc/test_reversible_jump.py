@@ -235,3 +235,15 @@ def test_other_refusals():
         mcmc.birth_death(lambda k, x, j: None, 3)
     with pytest.raises(MotesError, match="change_points most: expected a whole number"):
         mcmc.change_points(0, 3)
+
+
+def test_kernels_within_a_model_see_zeros_where_nothing_lives():
+    """A density that sums all of x, dead numbers too, is that of its live ones."""
+    def density(configuration):
+        return -0.5 * (jnp.sum(configuration.x) - 1) ** 2 - 0.5 * jnp.sum(configuration.x**2) - 5 * configuration.model
+
+    jumps = mcmc.birth_death(mo.Gaussian(jnp.zeros(1), jnp.eye(1)), most=3)
+    kernel = mcmc.ReversibleJump(jumps, size=lambda k: k, within=mcmc.RandomWalkMetropolis(0.7))
+    chains = mo.sample(0, kernel, density, mcmc.Configuration(1, jnp.zeros(3)), draws=500)
+    positions = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), chains.positions)
+    np.testing.assert_allclose(chains.log_density.reshape(-1), jax.vmap(density)(positions), atol=1e-4)

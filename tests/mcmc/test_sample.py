@@ -130,6 +130,14 @@ def other(to, back, log_volume=None):
 
 
 REFUSED = [
+    (dict(init=jnp.array([1, 2])), "RandomWalkMetropolis position: expected real numbers, or proposals that are whole"),
+    (dict(init={"k": 3, "z": 0.0}, kernel=mcmc.Adaptive(mcmc.RandomWalkMetropolis()), log_density=lambda p: -p["z"] ** 2 - p["k"] ** 2),
+     "RandomWalkMetropolis position: expected real numbers"),
+    (dict(kernel=mcmc.within_gibbs({0: mcmc.RandomWalkMetropolis(1.0), 2: mcmc.RandomWalkMetropolis(1.0)})),
+     r"Block part: expected a part of the position \(\(2,\)\), got 2"),
+    (dict(kernel=mcmc.Gibbs({5: lambda key, x: x[0]})), r"Gibbs draws\[5\]: expected a part of the position"),
+    (dict(kernel=mcmc.Gibbs({"b": lambda key, x: x["a"]}), init={"a": 0.0}, log_density=lambda x: -x["a"] ** 2),
+     r"Gibbs draws\['b'\]: expected a part of the position \(\['a'\]\)"),
     (other(jnp.log, lambda z: jnp.exp(2 * z)), "Reparametrized back: expected the inverse of to, got .* by to"),
     (other(lambda x: jnp.append(x, 0.0), lambda z: z[:2]), "Reparametrized to: expected 2 numbers, as many as in the position, got 3"),
     (other(jnp.log, jnp.exp, lambda z: -jnp.sum(z) + 1), "Reparametrized log_volume: expected .* near the start, .* got"),
@@ -156,6 +164,11 @@ def test_refusals(changes, message):
 
 
 KNOBS = [
+    (lambda: mcmc.Cycle(mcmc.HMC()), "Cycle kernels: expected a list of kernels"),
+    (lambda: mcmc.Block("a", 3), "Block kernel: expected a kernel"),
+    (lambda: mcmc.raftery_lewis(np.arange(150.0), 0.5, error=0.1), "raftery_lewis draws: expected at least 200 draws"),
+    (lambda: mcmc.geweke(np.arange(150.0)), r"geweke draws: expected shape \(\*, \*\)|geweke draws: expected shape"),
+    (lambda: mcmc.r_hat(np.zeros((2, 10, 3))), "rhat draws: expected shape"),
     (lambda: mcmc.Reparametrized(3, jnp.log, jnp.exp), "Reparametrized kernel: expected a kernel"),
     (lambda: mcmc.Reparametrized(mcmc.RandomWalkMetropolis(), 3, jnp.exp), "Reparametrized to: expected a function"),
     (lambda: mcmc.RandomWalkMetropolis(-1.0), "RandomWalkMetropolis scale: expected positive numbers"),
@@ -197,6 +210,45 @@ def test_a_scale_is_drawn_by_its_logarithm():
     for power, truth in ((1, 3.0), (2, 12.0), (-1, 0.5)):
         assert abs((draws**power).mean() - truth) < 4.9 * mcmc.standard_error(draws**power)
     np.testing.assert_allclose(chains.log_density, 2 * np.log(draws) - draws, atol=2e-5)
+
+
+def test_whole_numbers_are_drawn_by_proposals_of_whole_numbers():
+    """Poisson with mean 3 by steps of one; no random walk on the line could."""
+    def stepped(key, x, u, t):
+        return x + 2 * jnp.round(jax.random.uniform(key, x.shape)) - 1
+
+    steps = mo.Custom(sample=stepped, log_prob=lambda new, x, u, t: jnp.zeros(()))
+    chains = mo.sample(0, mcmc.MetropolisHastings(steps), lambda k: jnp.where(k >= 0, k * jnp.log(3.0) - jax.lax.lgamma(k + 1.0), -jnp.inf),
+                       jnp.int32(3), draws=20_000)  # fmt: skip
+    draws = np.asarray(chains.positions)
+    assert draws.dtype == np.int32 and abs(draws.mean() - 3) < 4.9 * mcmc.standard_error(draws)
+
+
+def test_a_kernel_drawn_now_and_then_learns_its_shape_too():
+    wide = mo.Gaussian(jnp.zeros(2), jnp.diag(jnp.array([1.0, 1e4])))
+    kernel = mcmc.Mix([mcmc.Adaptive(mcmc.RandomWalkMetropolis(), steps=4_000), mcmc.RandomWalkMetropolis(0.1)], [1, 3])
+    chains = mo.sample(0, kernel, wide.log_prob, jnp.zeros(2), draws=100, chains=8, burn_in=4_000)
+    assert np.median(chains.last.memory[0].factor[:, 1, 1]) > 30
+
+
+def test_continuing_with_what_does_not_fit_is_refused(tmp_path):
+    chains = mo.sample(0, mcmc.RandomWalkMetropolis(1.0), log_density, jnp.zeros(2), draws=10)
+    with pytest.raises(MotesError, match="sample kernel: expected that of the chains, RandomWalk.*got Adaptive"):
+        mo.sample(0, ADAPTIVE, log_density, chains, draws=10)
+    loaded = mo.Chains.load(chains.save(tmp_path / "c.npz"))
+    with pytest.raises(MotesError, match="sample init: expected chains that were loaded with their kernel"):
+        mo.sample(0, mcmc.RandomWalkMetropolis(1.0), log_density, loaded, draws=10)
+    fewer = mo.sample(0, mcmc.RandomWalkMetropolis(1.0), log_density, jnp.zeros(2), draws=10, chains=2)
+    with pytest.raises(MotesError, match="pieces: expected chains of one number"):
+        mcmc.joined([chains, fewer])
+
+
+def test_what_cannot_be_judged_is_not_trusted():
+    few = mo.sample(0, mcmc.RandomWalkMetropolis(1.0), log_density, jnp.zeros(2), draws=2)
+    assert not few.diagnose().trusted and "few draws" in str(few.diagnose())
+    kernel = mcmc.within_gibbs({"a": mcmc.RandomWalkMetropolis(1.0), "b": mcmc.RandomWalkMetropolis(1e9)})
+    still = mo.sample(0, kernel, lambda x: -x["a"] ** 2 - x["b"] ** 2, {"a": 0.0, "b": 0.0}, draws=3_000)
+    assert not still.diagnose().trusted and "b never changed" in str(still.diagnose())
 
 
 def test_no_warning_without_a_reason():

@@ -143,6 +143,9 @@ def test_tempering_gives_evidence_and_posterior():
     centers = np.array([np.asarray(run.cloud.mean()) for run in runs])
     np.testing.assert_allclose(centers.mean(axis=0), posterior, atol=0.03)
     first = runs[0]
+    taught, plain = (montecarlo.temper(0, prior, log_likelihood, 500, montecarlo.Tempering(kernel, moves=3)).acceptance
+                     for kernel in (mo.mcmc.Repeat(mo.mcmc.Adaptive(KERNEL), 1), KERNEL))  # fmt: skip
+    assert abs(taught.mean() - plain.mean()) < 0.05
     assert first.exponents[0] == 0 and first.exponents[-1] == 1 and (np.diff(first.exponents) > 0).all()
     assert (first.ess[:-1] > 0.49 * 2_000).all() and (first.ess[:-1] < 0.53 * 2_000).all() and (first.acceptance > 0.1).all()
 
@@ -179,3 +182,24 @@ REFUSED = [
 def test_refusals(make, message):
     with pytest.raises(MotesError, match=message):
         make()
+
+
+def test_what_no_point_hits_is_not_trusted():
+    with pytest.warns(mo.MotesWarning, match="few points: only 0.0 of 1000"):
+        nowhere = lambda x: jnp.where(x[0] > 1e6, 0.0, -jnp.inf)  # noqa: E731
+        found = montecarlo.importance_sampling(0, lambda x: x[0], nowhere, LAW, 1_000, normalized=True)
+    assert not found.trusted
+
+
+def test_densities_that_are_no_numbers_are_told():
+    with pytest.warns(mo.MotesWarning, match="invalid: log_density over the proposal's was NaN at"):
+        montecarlo.importance_sampling(0, lambda x: x[0], lambda x: jnp.where(x[0] > 0, LAW.log_prob(x), jnp.nan), LAW, 1_000)
+    for n in (1_000, 10_000):
+        log_weights = jnp.where(jnp.arange(n) % 50 == 0, 0.0, -jnp.inf)
+        assert mo.pareto_k(log_weights) == -np.inf
+        heavy = jnp.where(log_weights == 0, -2.0 * jnp.log(jax.random.uniform(jax.random.key(1), (n,))), -jnp.inf)
+        assert np.isnan(mo.pareto_k(jnp.full(n, -jnp.inf))) and (n == 1_000 or 0.8 < mo.pareto_k(heavy) < 3)
+    with pytest.raises(mo.MotesError, match="multiple_importance_sampling n: expected one number for each of the 2"):
+        montecarlo.multiple_importance_sampling(0, lambda x: x[0], LAW, [LAW, LAW], 1_000)
+    with pytest.raises(mo.MotesError, match="importance_sampling n: expected at least 2"):
+        montecarlo.importance_sampling(0, lambda x: x[0], LAW, LAW, 1)

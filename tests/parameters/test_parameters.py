@@ -143,6 +143,53 @@ def test_half_marginalized_paths_have_the_smoothers_law(n, linear):
             assert abs(values.mean() - float(truth)) < 5.5 * mcmc.standard_error(values)
 
 
+def skewed(theta):
+    """Process and measurement noise go together."""
+    return mo.StateSpaceModel(mo.Gaussian(jnp.zeros(1), jnp.eye(1)), mo.LinearGaussian(0.9 * jnp.eye(1), jnp.eye(1)),
+                              mo.LinearGaussian(jnp.eye(1), jnp.eye(1)), noise_cross_cov=0.9 * jnp.eye(1))  # fmt: skip
+
+
+@pytest.mark.parametrize("kernel", [parameters.ParticleGibbs(10), parameters.RaoBlackwellizedParticleGibbs(1)],
+                         ids=["plain", "marginalized"])  # fmt: skip
+def test_noises_that_go_together_reach_the_path(kernel):
+    fixed = parameters.PathPosterior(mo.Gaussian(jnp.zeros(1), jnp.eye(1)), skewed, YS)
+    chains = mo.sample(1, kernel, fixed, fixed.start, draws=2_000, chains=8, burn_in=100)
+    smoothed = mo.smooth(0, mo.RauchTungStriebelSmoother(), skewed(None), mo.run(0, mo.KalmanFilter(), skewed(None), YS), YS)
+    paths = np.asarray(chains.positions["path"])[..., 0].astype(float)
+    for t in range(STEPS):
+        assert abs(paths[..., t].mean() - float(smoothed.mean[t, 0])) < 5.3 * mcmc.standard_error(paths[..., t])
+    for refused in (lambda: parameters.liu_west(0, fixed, 10), lambda: parameters.iterated_filtering(0, fixed, 10, 0.1)):
+        with pytest.raises(MotesError, match="parameters model: expected measurement noise that is independent"):
+            refused()
+
+
+def test_a_row_without_measurement_tells_a_custom_sensor_nothing():
+    known = model(jnp.zeros(2))
+    custom = mo.Custom(log_prob=lambda y, x, u, t: -((y[0] - x[0]) ** 2) - 0.5 * jnp.log(jnp.pi), sample=lambda key, x, u, t: x)
+    blind = parameters.PathPosterior(PRIOR, lambda theta: mo.StateSpaceModel(known.initial, known.dynamics, custom), YS)
+    position = PATHS.start(random.as_key(3))
+    seen = parameters.PathPosterior(PRIOR, lambda theta: mo.StateSpaceModel(known.initial, known.dynamics, known.sensor), YS)
+    np.testing.assert_allclose(blind(position), seen(position), rtol=1e-4)
+    chains = mo.sample(0, parameters.ParticleGibbs(8), blind, blind.start, draws=20)
+    assert np.isfinite(np.asarray(chains.log_density)).all()
+
+
+@pytest.mark.parametrize("around", [mcmc.Adaptive, lambda kernel: mcmc.Repeat(kernel, 2)], ids=["Adaptive", "Repeat"])
+def test_correlated_chains_in_a_wrapper(around):
+    posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, scheme=mo.Sorted()), YS)
+    chains = mo.sample(0, around(CORRELATED), posterior, posterior.starts, draws=100, burn_in=0)
+    assert 0 < chains.acceptance["RandomWalkMetropolis"] < 1 and np.ptp(np.asarray(chains.log_density)[:, 0]) > 0
+    with pytest.raises(MotesError, match="PseudoMarginal renewed: expected 1 in a Cycle or Mix"):
+        mo.sample(0, mcmc.Cycle([around(CORRELATED)]), posterior, posterior.starts, draws=10)
+
+
+def test_a_collapse_is_an_improbable_position_not_an_error():
+    far = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=5), YS.at[3].set(1e6))
+    assert float(far.estimate(random.as_key(0), jnp.zeros(2))) == -np.inf
+    with pytest.raises(MotesError, match="log_density at init: expected a finite number"):
+        mo.sample(0, mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), far, jnp.zeros(2), draws=10)
+
+
 def test_marginalized_paths_mix_better():
     """A position with a bent sensor and bent dynamics, driven by two linear states: the same law, and fewer draws for it."""
     def driven(x, u, t):

@@ -18,31 +18,38 @@ def pareto_k(log_weights: jax.Array) -> jax.Array:
 
     Moments of the weights of order 1 / k and more do not exist: below 0.5 their variance does; above `TRUSTED` averages are not reliable.
     The fit is that of Zhang and Stephens (2009) to the largest min(n / 5, 3 sqrt(n)) weights, drawn a little towards 0.5 as in Pareto
-    smoothed importance sampling. NaN for fewer than 25 weights; minus infinity where the largest weights are all equal.
+    smoothed importance sampling. Weights of zero do not count as large ones. NaN for fewer than 25 weights, or fewer than 5 large ones;
+    minus infinity where the largest weights are all equal.
     """
     n = log_weights.shape[0]
     count = int(min(n / 5, 3 * n**0.5))
     if count < 5:
         return jnp.full((), jnp.nan, log_weights.dtype)
     top = jnp.sort(log_weights)[n - count - 1 :]
+    # where zeros reach into the tail it begins at the least weight that is none
+    enough = top[0] > -jnp.inf
+    edge = jnp.where(enough, top[0], jnp.min(jnp.where(top > -jnp.inf, top, jnp.inf)))
+    counts = jnp.where(enough, True, top[1:] > edge)
     # relative to the largest, so that nothing overflows
-    largest = jnp.exp(top[1:] - top[-1])
-    excess = largest - jnp.exp(top[0] - top[-1])
-    k = _zhang_stephens(excess)
-    return jnp.where(excess[-1] > 0, k, -jnp.inf)
+    excess = jnp.exp(top[1:] - top[-1]) - jnp.exp(edge - top[-1])
+    k = jnp.where(jnp.sum(counts) < 5, jnp.nan, _zhang_stephens(excess, counts))
+    return jnp.where(top[-1] > edge, k, jnp.where(top[-1] > -jnp.inf, -jnp.inf, jnp.nan))
 
 
-def _zhang_stephens(x: jax.Array) -> jax.Array:
-    """Shape of the generalized Pareto law of x `(m,)`, sorted and positive, averaged over the likelihood of b in k = mean log(1 - b x)."""
-    m = x.shape[0]
-    x = jnp.maximum(x, jnp.finfo(x.dtype).tiny)
-    grid = 30 + int(m**0.5)
-    quartile = x[int(m / 4 + 0.5) - 1]
+def _zhang_stephens(x: jax.Array, counts: jax.Array) -> jax.Array:
+    """Shape of the generalized Pareto law of x `(m,)`, sorted and positive, averaged over the likelihood of b in k = mean log(1 - b x).
+
+    Only those that count do, which are the last.
+    """
+    m = jnp.sum(counts).astype(x.dtype)
+    x = jnp.where(counts, jnp.maximum(x, jnp.finfo(x.dtype).tiny), 0)
+    grid = 30 + int(x.shape[0] ** 0.5)
+    quartile = x[x.shape[0] - jnp.sum(counts) + jnp.floor(m / 4 + 0.5).astype(jnp.int32) - 1]
     b = 1 / x[-1] + (1 - jnp.sqrt(grid / (jnp.arange(grid) + 0.5))) / (3 * quartile)
-    k = jnp.mean(jnp.log1p(-b[:, None] * x), axis=1)
+    k = jnp.sum(jnp.log1p(-b[:, None] * x), axis=1) / m
     log_likelihood = m * (jnp.log(-b / k) - k - 1)
     weights = jax.nn.softmax(jnp.where(jnp.isnan(log_likelihood), -jnp.inf, log_likelihood))
-    fitted = jnp.mean(jnp.log1p(-jnp.sum(weights * b) * x))
+    fitted = jnp.sum(jnp.log1p(-jnp.sum(weights * b) * x)) / m
     return (fitted * m + 5) / (m + 10)
 
 

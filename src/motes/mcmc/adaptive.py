@@ -70,13 +70,12 @@ class Adaptive(Wrapper):
         if self.target is not None and not 0 < self.target < 1:
             checks.refuse("Adaptive target", "a probability between 0 and 1", self.target)
 
-    def remembered(self, log_density: LogDensity, position: Position) -> Learned:
+    def around(self, memory: Any, position: Position) -> Learned:
         """Start with a scale for the standard normal density."""
         x = ravel_pytree(position)[0]
         first = jnp.log(jnp.asarray(self.kernel.first_scale(x.shape[0]), x.dtype))
         none, nothing = jnp.zeros((), x.dtype), jnp.zeros_like(x)
-        inner = super().remembered(log_density, position)
-        return Learned(first, jnp.eye(x.shape[0], dtype=x.dtype), jnp.int32(0), none, nothing, jnp.outer(nothing, nothing), inner)
+        return Learned(first, jnp.eye(x.shape[0], dtype=x.dtype), jnp.int32(0), none, nothing, jnp.outer(nothing, nothing), memory)
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make a step and learn from it."""

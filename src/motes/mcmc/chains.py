@@ -108,6 +108,7 @@ class Chains:
             shape = tree["log_density"].shape
             position = jax.tree.map(lambda leaf: leaf[0, 0], positions) if position is None else position
             position = jax.tree.map(jnp.asarray, position)
+            kernel.check(jax.random.key(0), log_density, position)
             one = jax.eval_shape(lambda position: kernel.init(jax.random.key(0), log_density, position), position)
             like = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((shape[0], *leaf.shape), leaf.dtype), one)
             last = archive.fill(path, {"last": like}, tree)["last"]
@@ -120,6 +121,8 @@ def joined(pieces: list[Chains]) -> Chains:
     """Put consecutive draws of the same chains together."""
     if not pieces:
         checks.refuse("pieces", "at least one Chains", "none")
+    if len({(piece.log_density.shape[0], piece.moves) for piece in pieces}) > 1:
+        checks.refuse("pieces", "chains of one number and one kernel", f"{[piece.log_density.shape[0] for piece in pieces]} chains")
     drawn = [(piece.positions, piece.log_density) for piece in pieces]
     positions, log_density = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *drawn)
     info = jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *[piece.info for piece in pieces])

@@ -1,16 +1,17 @@
 """Kernels made of kernels: cycles, mixtures, repetitions, and kernels for a part of the position (Tierney 1994)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import count
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.laws.cloud import pick
-from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, Wrapper, as_kernel, put, take
+from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, Wrapper, as_kernel, check_part, put, take
 
 
 class Compound(Kernel):
@@ -121,6 +122,16 @@ class Block(Kernel):
     part: Any = static()
     kernel: Kernel
 
+    def __post_init__(self) -> None:
+        """Check the kernel.
+
+        Raises:
+            MotesError: it is none.
+        """
+        as_kernel("Block kernel", self.kernel)
+        if isinstance(self.part, (list, np.ndarray, jax.Array)):
+            object.__setattr__(self, "part", tuple(np.ravel(self.part).tolist()))
+
     @property
     def moves(self) -> tuple[str, ...]:
         """Those of the kernel, with the part's name."""
@@ -131,11 +142,7 @@ class Block(Kernel):
 
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Ask for a part that is there."""
-        try:
-            inner = take(position, self.part)
-        except (KeyError, IndexError, TypeError, AttributeError):
-            there = list(position) if isinstance(position, dict) else jax.tree.map(jnp.shape, position)
-            checks.refuse("Block part", f"a part of the position ({there})", repr(self.part))
+        inner = check_part("Block part", position, self.part)
         self.kernel.check(key, self._given(log_density, position), inner)
 
     def remembered(self, log_density: LogDensity, position: Position) -> Any:
@@ -188,8 +195,11 @@ def within_gibbs(kernels: Mapping[Any, Kernel]) -> Cycle:
 
 
 def _kernels(asked_by: str, kernels: Sequence[Kernel]) -> tuple[Kernel, ...]:
-    for kernel in kernels:
+    if not isinstance(kernels, Iterable):
+        checks.refuse(f"{asked_by} kernels", "a list of kernels", type(kernels).__name__)
+    chosen = tuple(kernels)
+    for kernel in chosen:
         as_kernel(f"{asked_by} kernel", kernel)
-    if not kernels:
+    if not chosen:
         checks.refuse(f"{asked_by} kernels", "at least one kernel", "none")
-    return tuple(kernels)
+    return chosen

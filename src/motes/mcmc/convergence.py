@@ -13,11 +13,14 @@ from scipy.special import ndtri
 from motes.core import checks
 
 TAILS = (0.05, 0.95)
+SHORTEST = 200
+"""Draws that a thinned chain must have for its transitions to be counted."""
 
 
 def _of_arviz(name: str, draws: Any, **options: Any) -> float:
     values = np.asarray(draws, np.float64)
-    if values.ndim != 2 or values.shape[1] < 4 or not np.isfinite(values).all() or np.ptp(values) == 0:
+    checks.shape(f"{name} draws", values, (None, None), "(chain, draw)")
+    if values.shape[1] < 4 or not np.isfinite(values).all() or np.ptp(values) == 0:
         # a chain that never moved must not look converged
         return math.nan
     with np.errstate(all="ignore"):
@@ -60,8 +63,10 @@ def geweke(draws: Any, first: float = 0.1, last: float = 0.5) -> np.ndarray:
     """
     if not (0 < first < 1 and 0 < last < 1 and first + last <= 1):
         checks.refuse("geweke shares", "first + last of at most 1", f"{first} and {last}")
+    values = np.asarray(draws, np.float64)
+    checks.shape("geweke draws", values, (None, None), "(chain, draw)")
     found = []
-    for chain in np.asarray(draws, np.float64):
+    for chain in values:
         parts = chain[: int(first * chain.size)], chain[chain.size - int(last * chain.size) :]
         errors = [standard_error(part[None]) for part in parts]
         found.append((parts[0].mean() - parts[1].mean()) / math.hypot(*errors))
@@ -99,8 +104,8 @@ def raftery_lewis(
     checks.shape("raftery_lewis draws", values, (None,), "(one chain)")
     wanted = (ndtri((1 + probability) / 2) / error) ** 2
     least = math.ceil(quantile * (1 - quantile) * wanted)
-    if values.size < least:
-        checks.refuse("raftery_lewis draws", f"at least {least} draws", values.size)
+    if values.size < max(least, SHORTEST):
+        checks.refuse("raftery_lewis draws", f"at least {max(least, SHORTEST)} draws", values.size)
     below = (values <= np.quantile(values, quantile)).astype(int)
     for thin in range(1, values.size // 100):
         states = below[::thin]

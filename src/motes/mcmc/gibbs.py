@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, static
-from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, put, take
+from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, check_part, put, take
 
 Draw = Callable[[jax.Array, Any], Any]
 
@@ -53,6 +53,7 @@ class Gibbs(Kernel):
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Ask that each function returns what it replaces."""
         for part, function in self.draws:
+            check_part(f"Gibbs draws[{part!r}]", position, part)
             old, new = (jax.eval_shape(what, key, position) for what in (lambda key, position, part=part: take(position, part), function))
             if jax.tree.map(jnp.shape, old) != jax.tree.map(jnp.shape, new):
                 checks.refuse(f"Gibbs draws[{part!r}]", f"a value like {jax.tree.map(jnp.shape, old)}", jax.tree.map(jnp.shape, new))

@@ -136,6 +136,10 @@ class Proposing(Kernel):
     def proposed(self, key: jax.Array, x: jax.Array, t: Any) -> tuple[jax.Array, Any]:
         """Return a new position `(x,)` and the log of the proposals' densities, backward over forward."""
 
+    def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
+        """Ask for proposals that the position can hold."""
+        check_whole(type(self).__name__, position, lambda x: self.proposed(key, x, 0)[0])
+
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make one step."""
         return self.judged(key, lambda position: State(position, log_density(position)), state, t)
@@ -149,7 +153,7 @@ class Proposing(Kernel):
 
 
 class Wrapper(Kernel):
-    """A kernel around another: moves, checks and memory are the inner one's."""
+    """A kernel around another: moves, checks, start and memory are the inner one's, in what `around` puts about them."""
 
     kernel: Any
 
@@ -162,9 +166,18 @@ class Wrapper(Kernel):
         """Check the kernel."""
         self.kernel.check(key, log_density, position)
 
+    def around(self, memory: Any, position: Position) -> Any:
+        """Return the memory of this kernel with the inner one's in it."""
+        return memory
+
     def remembered(self, log_density: LogDensity, position: Position) -> Any:
-        """Return the memory of the kernel."""
-        return self.kernel.remembered(log_density, position)
+        """Return the memory of a chain that starts at a position."""
+        return self.around(self.kernel.remembered(log_density, position), position)
+
+    def init(self, key: jax.Array, log_density: LogDensity, position: Position) -> State:
+        """Start as the inner kernel does."""
+        inner = self.kernel.init(key, log_density, position)
+        return replace(inner, memory=self.around(inner.memory, position))
 
 
 def as_kernel(argument: str, value: Any) -> Kernel:
@@ -184,6 +197,40 @@ def check_start(log_density: jax.Array) -> None:
     if not np.isfinite(found).all():
         chain = int(np.argmax(~np.isfinite(found)))
         checks.refuse("log_density at init", "a finite number", f"{found[chain]} for chain {chain}", "Start where the density is positive.")
+
+
+def check_part(argument: str, position: Position, part: Any) -> Any:
+    """Return a part of a position; see `take`.
+
+    Raises:
+        MotesError: there is no such part; an index beyond the end would read, and lose, another number without a word.
+    """
+    there = list(position) if isinstance(position, dict) else jax.tree.map(jnp.shape, position)
+    try:
+        places = () if isinstance(position, dict) or isinstance(part, str) else np.ravel(part)
+        if any(not -len(position) <= place < len(position) for place in places):
+            raise IndexError
+        return take(position, part)
+    except (KeyError, IndexError, TypeError, AttributeError):
+        checks.refuse(argument, f"a part of the position ({there})", repr(part))
+
+
+def check_whole(argument: str, position: Position, proposed: Callable[[jax.Array], jax.Array]) -> None:
+    """Refuse proposals that are not whole where the position holds whole numbers: they would be cut off, which favors small ones.
+
+    Args:
+        argument: the kernel.
+        position: where a chain starts.
+        proposed: returns a proposal `(x,)` for it.
+    """
+    if all(jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating) for leaf in jax.tree.leaves(position)):
+        return
+    x, rebuild = ravel_pytree(position)
+    new = proposed(x.astype(jnp.result_type(float)))
+    held = jax.tree.map(lambda leaf, old: leaf.astype(jnp.asarray(old).dtype), rebuild(new), position)
+    if not bool(jnp.all(ravel_pytree(held)[0] == new)):
+        checks.refuse(f"{argument} position", "real numbers, or proposals that are whole where it is", "whole numbers",
+                      "Write 3.0 for 3, or draw whole numbers by a proposal of their own.")
 
 
 def take(position: Position, part: Any) -> Any:

@@ -1,7 +1,8 @@
 """Chains summed up in a table and judged in words.
 
 A serious finding says not to trust the chains: "stuck" (a chain that never moved), "not mixed" (R-hat above 1.01), "few draws" (fewer than
-100 effective ones per chain), "invalid" (densities that are no numbers). Notes: "never accepted" (a move), "one chain".
+100 effective ones per chain), "invalid" (densities that are no numbers), "never accepted" (a move; a note unless some quantity never
+changed). Note: "one chain".
 """
 
 from collections.abc import Mapping
@@ -15,6 +16,8 @@ from motes.io.result_table import Table
 from motes.mcmc import convergence
 
 MIXED = 1.01
+FEWEST = 4
+"""Draws of a chain that R-hat and effective sizes ask for."""
 ENOUGH = 100
 """Effective draws wanted of each chain."""
 RARE = 1e-3
@@ -70,7 +73,9 @@ def _never(chains: Any) -> Finding | None:
     if not names:
         return None
     text = f"no proposal of {', '.join(names)} was accepted."
-    return Finding("never accepted", text, "Take smaller steps, or leave this move out.", False)
+    still = [name for name, draws in chains.columns().items() if draws.size > 1 and np.ptp(draws) == 0]
+    also = f" {', '.join(still)} never changed." if still else ""
+    return Finding("never accepted", text + also, "Take smaller steps, or leave this move out.", bool(still))
 
 
 def _mixed(columns: Mapping[str, np.ndarray]) -> Finding | None:
@@ -85,6 +90,9 @@ def _mixed(columns: Mapping[str, np.ndarray]) -> Finding | None:
 def _few(columns: Mapping[str, np.ndarray]) -> Finding | None:
     sizes = {name: min(convergence.bulk_ess(draws), convergence.tail_ess(draws)) for name, draws in columns.items()}
     known = {name: size for name, size in sizes.items() if not np.isnan(size)}
+    count = next(iter(columns.values())).shape[1]
+    if count < FEWEST:
+        return Finding("few draws", f"{count} draws of each chain tell nothing.", "Draw more.", True)
     if not known:
         return None
     worst = min(known, key=known.__getitem__)

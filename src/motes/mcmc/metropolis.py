@@ -46,6 +46,7 @@ class RandomWalkMetropolis(Proposing, Tunable):
         size = ravel_pytree(position)[0].shape[0]
         if self.scale.ndim and self.scale.shape[0] != size:
             checks.refuse("RandomWalkMetropolis scale", f"one number or {size}, as the position has", self.scale.shape[0])
+        super().check(key, log_density, position)
 
     def proposed(self, key: jax.Array, x: jax.Array, t: Any) -> tuple[jax.Array, Any]:
         """Draw a step."""

@@ -15,7 +15,7 @@ from motes.core import checks, random
 from motes.core.record import record, static
 from motes.laws.cloud import draw
 from motes.laws.conditional import Conditional, as_conditional
-from motes.mcmc.interface import Info, Kernel, LogDensity, State, settle
+from motes.mcmc.interface import Info, Kernel, LogDensity, State, check_whole, settle
 
 WEIGHTS = {"importance": (0.0, -1.0), "plain": (1.0, 0.0)}
 """Powers of T(y, x) and T(x, y) in the weight: lambda is 1 / (T(x, y) T(y, x)), or 1."""
@@ -44,6 +44,10 @@ class MultipleTry(Kernel):
         as_conditional("MultipleTry proposal", self.proposal)
         checks.positive_integer("MultipleTry tries", self.tries)
         checks.option("MultipleTry weight", self.weight, tuple(WEIGHTS))
+
+    def check(self, key: jax.Array, log_density: LogDensity, position: Any) -> None:
+        """Ask for proposals that the position can hold."""
+        check_whole("MultipleTry", position, lambda x: self.proposal.sample(key, x[:, None], None, 0)[:, 0])
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make one step."""

@@ -59,6 +59,16 @@ class PseudoMarginal(Wrapper, Tunable):
         keys = self._renewed(key, log_density, None)
         return State(position, log_density.estimate(keys, position), self._kept(keys))
 
+    def remembered(self, log_density: LogDensity, position: Position) -> Any:
+        """Return no memory, which only the correlated form has.
+
+        Raises:
+            MotesError: the correlated form is one of several kernels.
+        """
+        if self.renewed < 1:
+            checks.refuse("PseudoMarginal renewed", "1 in a Cycle or Mix", self.renewed, "Other kernels would not keep its random numbers.")
+        return super().remembered(log_density, position)
+
     def _kept(self, keys: jax.Array) -> Any:
         return jax.random.key_data(keys) if self.renewed < 1 else ()
 

@@ -72,6 +72,12 @@ class Reparametrized(Wrapper):
             checks.refuse("Reparametrized log_volume", f"{volume:.6g} near the start, the log of |det d back / dz|", f"{given:.6g}")
         self.kernel.check(key, self._given(log_density), z)
 
+    def init(self, key: jax.Array, log_density: LogDensity, position: Position) -> State:
+        """Start as the kernel does in its coordinates."""
+        z = self.to(position)
+        inner = self.kernel.init(key, self._given(log_density), z)
+        return State(position, inner.log_density - self._volume(z), inner.memory)
+
     def remembered(self, log_density: LogDensity, position: Position) -> Any:
         """Return the memory of the kernel."""
         return self.kernel.remembered(self._given(log_density), self.to(position))

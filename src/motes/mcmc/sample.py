@@ -58,7 +58,7 @@ def sample(
         checks.refuse("sample burn_in", "a whole number of at least 0", repr(burn_in))
     key = random.as_key(key)
     if isinstance(init, Chains):
-        target, states, begun = _target(log_density, init.last.position), init.last, int(init.steps)
+        target, states, begun = _continued(kernel, log_density, init)
         pieces = _pieces(0, draws)
     else:
         positions = _starts(random.child(key, random.INITIAL), init, chains)
@@ -69,6 +69,8 @@ def sample(
         check_start(values)
         kernel.check(random.child(key, random.WORLD), log_density, first)
         states = _begin(random.child(key, random.FILTER), kernel, target, positions)
+        # an estimate is not that of the check above
+        check_start(states.log_density)
         pieces = _pieces(burn_in, draws)
     kept: list[Chains] = []
     try:
@@ -87,7 +89,25 @@ def sample(
     return found
 
 
+def _continued(kernel: Kernel, log_density: LogDensity, chains: Chains) -> tuple[Target, State, int]:
+    """Return what to go on with, or refuse what these chains cannot go on with."""
+    if not isinstance(chains.last, State):
+        checks.refuse("sample init", "chains that were loaded with their kernel and log_density", "chains loaded without")
+    target = _target(log_density, chains.last.position)
+    shape = jax.tree.map(jax.typeof, chains.last)
+    try:
+        like = jax.tree.map(jax.typeof, jax.eval_shape(_begin, random.as_key(0), kernel, target, chains.last.position))
+        fits = jax.tree.map(lambda one, other: (one.shape, one.dtype) == (other.shape, other.dtype), shape, like)
+    except (TypeError, ValueError):
+        fits = False
+    if not jax.tree.all(fits):
+        checks.refuse("sample kernel", f"that of the chains, {chains.label[:200]}", f"{kernel!r}"[:200])
+    return target, chains.last, int(chains.steps)
+
+
 def _starts(key: jax.Array, init: Any, chains: int) -> Any:
+    if isinstance(init, list):
+        init = checks.as_float("sample init", init)
     if is_function(init):
         return jax.jit(lambda key: jax.vmap(init)(random.step_keys(key, chains)))(key)
     try:

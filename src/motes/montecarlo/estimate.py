@@ -29,6 +29,7 @@ class Estimate:
         pareto_k: how heavy the tail of the weights is (`mo.pareto_k`); NaN without weights or with few points.
         log_evidence: log of the integral of the unnormalized density, `()`; NaN where it was not asked for.
         log_evidence_error: its standard error.
+        invalid: points whose weight was NaN; they got none.
     """
 
     value: jax.Array
@@ -38,6 +39,7 @@ class Estimate:
     pareto_k: jax.Array
     log_evidence: jax.Array
     log_evidence_error: jax.Array
+    invalid: jax.Array | int = 0
 
     def diagnose(self) -> Diagnosis:
         """Say in words whether to trust the estimate."""
@@ -65,8 +67,11 @@ def _findings(estimate: Estimate) -> list[Finding]:
     if float(estimate.pareto_k) > TRUSTED:
         text = f"weights have too heavy a tail for the error to be believed (Pareto k {float(estimate.pareto_k):.2f}, above {TRUSTED})."
         found.append(Finding("heavy weights", text, "Use a proposal with heavier tails than the density, or adapt it.", True))
-    if float(estimate.ess) < FEW:
-        text = f"only {float(estimate.ess):.1f} of {int(estimate.n)} points count."
+    if int(estimate.invalid):
+        text = f"log_density over the proposal's was NaN at {int(estimate.invalid)} of {int(estimate.n)} points; they got no weight."
+        found.append(Finding("invalid", text, "Look for logarithms and roots of negative numbers; give impossible points -inf.", True))
+    if not float(estimate.ess) >= FEW:
+        text = f"only {float(np.nan_to_num(estimate.ess)):.1f} of {int(estimate.n)} points count."
         found.append(Finding("few points", text, "Draw more, or use a proposal nearer to the density.", True))
     return found
 
@@ -124,6 +129,7 @@ def averaged(log_weights: jax.Array, values: jax.Array, normalized: bool) -> Est
         normalized: whether the density is, so that weights need not be divided by their sum.
     """
     n = log_weights.shape[0]
+    invalid = jnp.sum(jnp.isnan(log_weights))
     log_weights = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights)
     normal, total = logspace.normalize(log_weights)
     shares = jnp.exp(normal)
@@ -138,4 +144,4 @@ def averaged(log_weights: jax.Array, values: jax.Array, normalized: bool) -> Est
         # by the delta method; Geweke 1989
         error = jnp.sqrt(jnp.sum((shares * jnp.where(shares > 0, values - value[..., None], 0)) ** 2, axis=-1))
         log_evidence, log_evidence_error = total - jnp.log(jnp.asarray(n, total.dtype)), jnp.std(n * shares, ddof=1) / n**0.5
-    return Estimate(value, error, n, logspace.effective_size(normal), pareto_k(log_weights), log_evidence, log_evidence_error)
+    return Estimate(value, error, n, logspace.effective_size(normal), pareto_k(log_weights), log_evidence, log_evidence_error, invalid)

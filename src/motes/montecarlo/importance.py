@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, random
 from motes.core.types import KeyLike
@@ -29,6 +30,8 @@ def importance_sampling(key: KeyLike, function: Any, log_density: Any, proposal:
         MotesError: an argument cannot be used.
     """
     checks.positive_integer("importance_sampling n", n)
+    if n < 2:
+        checks.refuse("importance_sampling n", "at least 2 points", n)
     law = as_law("importance_sampling proposal", proposal)
     points = law.sample(random.as_key(key), n)
     log_weights = densities_at(log_density, points) - law.log_prob(points)
@@ -54,8 +57,8 @@ def multiple_importance_sampling(
     Raises:
         MotesError: an argument cannot be used.
     """
-    if not proposals or len(proposals) != len(n):
-        checks.refuse("multiple_importance_sampling n", f"one number for each of the {len(proposals)} proposals", list(n))
+    if not proposals or np.ndim(n) != 1 or len(proposals) != len(n):
+        checks.refuse("multiple_importance_sampling n", f"one number for each of the {len(proposals)} proposals", repr(n))
     for count in n:
         checks.positive_integer("multiple_importance_sampling n", count)
     laws = [as_law(f"multiple_importance_sampling proposals[{place}]", one) for place, one in enumerate(proposals)]

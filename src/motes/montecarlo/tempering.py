@@ -13,9 +13,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from motes.core import checks, linalg, logspace, random
+from motes.core.record import replace
 from motes.core.types import KeyLike
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.laws.law import Law, as_law
+from motes.mcmc.adaptive import Adaptive
 from motes.mcmc.compose import Repeat
 from motes.mcmc.interface import Kernel, Tunable
 from motes.montecarlo.estimate import densities_at
@@ -79,6 +81,7 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
     checks.positive_integer("Tempering moves", how.moves)
     law, key = as_law("temper prior", prior), random.as_key(key)
     particles = law.sample(random.child(key, random.INITIAL), n)
+    how.kernel.check(random.child(key, random.WORLD), Between(law, log_likelihood, jnp.ones(())), particles[:, 0])
     values = densities_at(log_likelihood, particles)
     if not bool(jnp.isfinite(values).any()):
         checks.refuse("temper prior", "one under which some particle has a likelihood", f"none of {n}",
@@ -124,7 +127,11 @@ def _step(values: jax.Array, b: jax.Array, wanted: float) -> jax.Array:
 
 
 def shaped(kernel: Kernel, log_weights: jax.Array, particles: jax.Array) -> Any:
-    """Return a tunable kernel scaled and shaped to weighted particles `(x, n)`; any other as it is."""
+    """Return a kernel whose tunable part is scaled and shaped to weighted particles `(x, n)`; they teach it what `Adaptive` would learn."""
+    if isinstance(kernel, Adaptive):
+        return shaped(kernel.kernel, log_weights, particles)
+    if isinstance(kernel, Repeat):
+        return replace(kernel, kernel=shaped(kernel.kernel, log_weights, particles))
     if not isinstance(kernel, Tunable):
         return kernel
     size = particles.shape[0]
