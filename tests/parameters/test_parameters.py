@@ -309,7 +309,18 @@ def test_ranks_of_the_truth_among_sequential_parameters_are_uniform():
         assert stats.chisquare(np.bincount(np.array(found)[:, k], minlength=8)).pvalue > 1e-6
 
 
+class Unknown:
+    """An estimated density that JAX cannot take apart."""
+
+    def __call__(self, x):
+        return -x[0] ** 2
+
+    def estimate(self, key, x):
+        return self(x)
+
+
 REFUSED = [
+    (lambda: mo.sample(0, mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), Unknown(), jnp.zeros(1)), "one whose class JAX knows as a tree"),
     (lambda: parameters.Posterior(3, model, mo.KalmanFilter(), YS), "Posterior prior: expected a law"),
     (lambda: parameters.Posterior(PRIOR, 3, mo.KalmanFilter(), YS), "Posterior model: expected a function of the parameters"),
     (lambda: parameters.Posterior(PRIOR, model, 3, YS), "Posterior filter: expected a filter with a likelihood"),
