@@ -320,7 +320,7 @@ class Unknown:
 
 
 REFUSED = [
-    (lambda: mo.sample(0, mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), Unknown(), jnp.zeros(1)), "one whose class JAX knows as a tree"),
+    (lambda: mo.sample(0, mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), Unknown(), jnp.zeros(1)), "whose class JAX knows as a tree"),
     (lambda: parameters.Posterior(3, model, mo.KalmanFilter(), YS), "Posterior prior: expected a law"),
     (lambda: parameters.Posterior(PRIOR, 3, mo.KalmanFilter(), YS), "Posterior model: expected a function of the parameters"),
     (lambda: parameters.Posterior(PRIOR, model, 3, YS), "Posterior filter: expected a filter with a likelihood"),

@@ -121,7 +121,7 @@ def _starts(key: jax.Array, init: Any, chains: int) -> Any:
 
 def _target(log_density: LogDensity, positions: Any) -> Target:
     if hasattr(log_density, "estimate") and is_function(log_density):
-        checks.refuse("sample log_density", "one whose class JAX knows as a tree, since it has a method estimate", type(log_density).__name__,
+        checks.refuse("sample log_density", "one whose class JAX knows as a tree (it has an estimate)", type(log_density).__name__,
                       "Make it a frozen dataclass and register it by jax.tree_util.register_dataclass.")
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), jax.tree.map(shape_of, positions))
     return Target(canonical_function(log_density, (one,)))
