@@ -4,7 +4,7 @@ import importlib
 import sys
 import warnings
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ import numpy as np
 from jax.core import Tracer
 
 LONGEST = 500
+T = TypeVar("T")
 
 
 class MotesError(ValueError):
@@ -127,6 +128,13 @@ def finite(argument: str, value: Any, hint: str = "") -> None:
     if is_concrete(value) and not np.isfinite(np.asarray(value)).all():
         where = np.argwhere(~np.isfinite(np.asarray(value)))[0].tolist()
         refuse(argument, "finite numbers", f"{np.asarray(value)[tuple(where)]} at index {where}", hint)
+
+
+def instance(argument: str, value: Any, kind: type[T], expected: str) -> T:
+    """Return a value of a kind, or refuse any other."""
+    if not isinstance(value, kind):
+        refuse(argument, expected, type(value).__name__)
+    return value
 
 
 def positive_integer(argument: str, value: Any) -> None:

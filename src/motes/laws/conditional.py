@@ -85,9 +85,7 @@ def as_conditional(argument: str, value: Any) -> Conditional:
     Raises:
         MotesError: it is none.
     """
-    if not isinstance(value, Conditional):
-        checks.refuse(argument, "a conditional such as mo.AdditiveGaussian(f, Q)", type(value).__name__)
-    return value
+    return checks.instance(argument, value, Conditional, "a conditional such as mo.AdditiveGaussian(f, Q)")
 
 
 def wrap(difference: jax.Array, angles: tuple[int, ...]) -> jax.Array:

@@ -186,9 +186,7 @@ def as_kernel(argument: str, value: Any) -> Kernel:
     Raises:
         MotesError: it is none.
     """
-    if not isinstance(value, Kernel):
-        checks.refuse(argument, "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)", type(value).__name__)
-    return value
+    return checks.instance(argument, value, Kernel, "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)")
 
 
 def check_start(log_density: jax.Array) -> None:

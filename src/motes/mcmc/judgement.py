@@ -88,15 +88,15 @@ def _mixed(columns: Mapping[str, np.ndarray]) -> Finding | None:
 
 
 def _few(columns: Mapping[str, np.ndarray]) -> Finding | None:
-    sizes = {name: min(convergence.bulk_ess(draws), convergence.tail_ess(draws)) for name, draws in columns.items()}
-    known = {name: size for name, size in sizes.items() if not np.isnan(size)}
-    count = next(iter(columns.values())).shape[1]
+    chains, count = next(iter(columns.values())).shape
     if count < FEWEST:
         return Finding("few draws", f"{count} draws of each chain tell nothing.", "Draw more.", True)
+    sizes = {name: min(convergence.bulk_ess(draws), convergence.tail_ess(draws)) for name, draws in columns.items()}
+    known = {name: size for name, size in sizes.items() if not np.isnan(size)}
     if not known:
         return None
     worst = min(known, key=known.__getitem__)
-    wanted = ENOUGH * next(iter(columns.values())).shape[0]
+    wanted = ENOUGH * chains
     if known[worst] >= wanted:
         return None
     text = f"{worst} has {known[worst]:.0f} effective draws, fewer than {wanted}."

@@ -129,8 +129,8 @@ def averaged(log_weights: jax.Array, values: jax.Array, normalized: bool) -> Est
         normalized: whether the density is, so that weights need not be divided by their sum.
     """
     n = log_weights.shape[0]
-    invalid = jnp.sum(jnp.isnan(log_weights))
-    log_weights = jnp.where(jnp.isnan(log_weights), -jnp.inf, log_weights)
+    invalid = jnp.isnan(log_weights)
+    log_weights = jnp.where(invalid, -jnp.inf, log_weights)
     normal, total = logspace.normalize(log_weights)
     shares = jnp.exp(normal)
     # a point without weight tells nothing, whatever the function is there
@@ -144,4 +144,5 @@ def averaged(log_weights: jax.Array, values: jax.Array, normalized: bool) -> Est
         # by the delta method; Geweke 1989
         error = jnp.sqrt(jnp.sum((shares * jnp.where(shares > 0, values - value[..., None], 0)) ** 2, axis=-1))
         log_evidence, log_evidence_error = total - jnp.log(jnp.asarray(n, total.dtype)), jnp.std(n * shares, ddof=1) / n**0.5
-    return Estimate(value, error, n, logspace.effective_size(normal), pareto_k(log_weights), log_evidence, log_evidence_error, invalid)
+    size, tail = logspace.effective_size(normal), pareto_k(log_weights)
+    return Estimate(value, error, n, size, tail, log_evidence, log_evidence_error, jnp.sum(invalid))

@@ -66,9 +66,7 @@ class DrawsPaths(Kernel):
         Raises:
             MotesError: it is no posterior of parameters and path.
         """
-        if not isinstance(log_density, PathPosterior):
-            checks.refuse(f"{type(self).__name__} log_density", "a mo.parameters.PathPosterior", type(log_density).__name__)
-        return log_density
+        return checks.instance(f"{type(self).__name__} log_density", log_density, PathPosterior, "a mo.parameters.PathPosterior")
 
     @abstractmethod
     def path(self, key: jax.Array, posterior: PathPosterior, position: Position) -> jax.Array:
