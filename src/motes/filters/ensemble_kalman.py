@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, linalg, random
+from motes.core import checks, linalg, random, sums
 from motes.core.record import record, replace, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, as_moment_model, single
 from motes.laws.cloud import Cloud
@@ -82,8 +82,8 @@ class EnsembleKalmanFilter(TwoStageFilter):
         R = among(jnp.mean(R, axis=2) if R.ndim == 3 else R, seen)
         out, across = zeroed(off - shift[:, None], seen), X - middle[:, None]
         share = max(self.n - 1, 1)
-        S = linalg.product_transposed(out, out) / share + R
-        root, cross = linalg.cholesky(S), linalg.product_transposed(out, across) / share
+        S = sums.by_blocks(linalg.product_transposed, out, out) / share + R
+        root, cross = linalg.cholesky(S), sums.by_blocks(linalg.product_transposed, out, across) / share
         if self.form == "stochastic":
             gain = linalg.transpose(linalg.solve(root, cross))
             pulls = zeroed(innovation, seen)[:, None] + self._perturbations(key, R, seen) - out

@@ -3,18 +3,30 @@
 import jax
 import jax.numpy as jnp
 
-from motes.core import engine, logspace, random
+from motes.core import engine, logspace, random, sums
 from motes.core.record import record, replace
 from motes.laws.law import Law
 
 
 @engine.replaceable
 def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Mean `(x,)` and covariance `(x, x)` of points under normalized log weights `(n,)`; points come in parts `(x_1, n)`, ..."""
+    """Mean `(x,)` and covariance `(x, x)` of points under normalized log weights `(n,)`; points come in parts `(x_1, n)`, ...
+
+    In two passes (Chan, Golub, LeVeque 1983, Algorithms for computing the sample variance): what the first mean is off by, through rounding
+    of weights and sums, is seen in the mean of the differences from it, and taken out of mean and covariance.
+    """
     points, weights = jnp.concatenate(parts), jnp.exp(log_weights)
-    mean = jnp.matmul(points, weights, precision=jax.lax.Precision.HIGHEST)
-    off = points - mean[:, None]
-    return mean, jnp.matmul(off * weights, off.T, precision=jax.lax.Precision.HIGHEST)
+    total = jnp.sum(weights)
+    total = jnp.where(total > 0, total, 1)
+    mean = sums.weighted_sum(points, weights) / total
+
+    def scatter(points: jax.Array, weights: jax.Array) -> tuple[jax.Array, jax.Array]:
+        off = points - mean[:, None]
+        weighted = off * weights
+        return jnp.sum(weighted, axis=-1), jnp.matmul(weighted, off.T, precision=jax.lax.Precision.HIGHEST)
+
+    missed, spread = (found / total for found in sums.by_blocks(scatter, points, weights))
+    return mean + missed, spread - missed[:, None] * missed
 
 
 @record

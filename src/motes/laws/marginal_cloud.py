@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from motes.core import linalg, logspace, random
+from motes.core import linalg, logspace, random, sums
 from motes.core.record import record, replace, static
 from motes.laws.cloud import Cloud, draw, weighted_moments
 from motes.laws.gaussian import Gaussian
@@ -45,7 +45,7 @@ class MarginalCloud(Law):
         """Covariance of all states in the user's order, `(x, x)`: spread of the particles plus what each Gaussian leaves."""
         p = self.particles.shape[0]
         within = self.kalman.covariance
-        inside = within @ self.weights if within.ndim == 3 else within
+        inside = sums.weighted_sum(within, self.weights) if within.ndim == 3 else within
         whole = self._spread()[1].at[p:, p:].add(inside)
         return linalg.take(linalg.take(whole, self.order), self.order, axis=1)
 

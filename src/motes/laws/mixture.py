@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, linalg, logspace, random
+from motes.core import checks, linalg, logspace, random, sums
 from motes.core.record import record, replace
 from motes.laws.cloud import draw, weighted_moments
 from motes.laws.gaussian import Gaussian, log_normal
@@ -55,7 +55,7 @@ class Mixture(Law):
     def cov(self) -> jax.Array:
         """Covariance within and between the components, `(x, x)`."""
         within = self.parts.covariance
-        inside = within @ self.weights if within.ndim == 3 else within
+        inside = sums.weighted_sum(within, self.weights) if within.ndim == 3 else within
         return inside + weighted_moments(self.log_weights, self.parts.center)[1]
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, random
+from motes.core import checks, random, sums
 from motes.core.record import record, static
 from motes.filters.interface import Filter, Guide, Info
 from motes.filters.particle import ParticleFilter
@@ -45,7 +45,7 @@ class AdditiveCloud(Law):
 
     def total(self) -> jax.Array:
         """Expected sums given all measurements so far, `(d,)`."""
-        return jnp.matmul(self.sums, self.cloud.weights, precision=jax.lax.Precision.HIGHEST)
+        return sums.weighted_sum(self.sums, self.cloud.weights)
 
     def mean(self) -> jax.Array:
         """Mean of the state, `(x,)`."""
