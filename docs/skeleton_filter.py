@@ -9,7 +9,8 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, evolve, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh
+from motes.filters.needs import as_state_space
 from motes.laws.cloud import Cloud
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import Always

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from motes.bounds.bound import Bound
 from motes.core import checks
 from motes.core.types import Inputs
-from motes.filters.interface import as_state_space
+from motes.filters.needs import as_state_space
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of

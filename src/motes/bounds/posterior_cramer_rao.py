@@ -23,7 +23,7 @@ import numpy as np
 from motes.bounds.bound import Bound
 from motes.core import checks, linalg, random
 from motes.core.types import Inputs, KeyLike
-from motes.filters.interface import as_state_space
+from motes.filters.needs import as_state_space
 from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize

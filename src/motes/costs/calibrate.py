@@ -26,7 +26,7 @@ from motes.core.record import record, replace, static
 from motes.core.types import Inputs
 from motes.costs.complexity import Costs
 from motes.costs.measure import least_seconds
-from motes.filters.interface import as_state_space
+from motes.filters.needs import as_state_space
 from motes.filters.particle import ParticleFilter
 from motes.io import archive
 from motes.io.private import private_folder

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Filter, Guide, Info, as_particle_model, by_likelihood, guided, reweigh
+from motes.filters.interface import Filter, Guide, Info, by_likelihood, guided, reweigh
+from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models import linearize

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Filter, Guide, Info, as_moment_model, weigh
+from motes.filters.interface import Filter, Guide, Info, weigh
+from motes.filters.needs import as_moment_model
 from motes.laws.conditional import matrix_over, over_particles
 from motes.laws.cost_cloud import CostCloud
 from motes.models.state_space import StateSpaceModel

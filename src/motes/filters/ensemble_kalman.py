@@ -13,7 +13,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random, sums
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_moment_model, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, single
+from motes.filters.needs import as_moment_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import matrix_over, over_particles
 from motes.laws.gaussian import among, log_normal, log_normal_peak, zeroed

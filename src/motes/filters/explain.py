@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from motes.core import engine as engines
 from motes.core.record import record, static
 from motes.core.types import Inputs
-from motes.filters.interface import Filter, as_state_space
+from motes.filters.interface import Filter
+from motes.filters.needs import as_state_space
 from motes.filters.run import Engine
 from motes.models.jump_markov import modes_of
 from motes.models.state_space import measurement_size

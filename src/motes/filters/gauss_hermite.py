@@ -10,7 +10,8 @@ import jax
 
 from motes.core import checks
 from motes.core.record import record, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_moment_model, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, single
+from motes.filters.needs import as_moment_model
 from motes.laws.gaussian import Gaussian
 from motes.models import sigma_points
 from motes.models.state_space import StateSpaceModel

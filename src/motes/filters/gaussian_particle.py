@@ -12,7 +12,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_particle_model, weigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, weigh
+from motes.filters.needs import as_particle_model
 from motes.laws.cloud import weighted_moments
 from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel

@@ -16,7 +16,8 @@ import jax.numpy as jnp
 
 from motes.core import linalg
 from motes.core.record import record, replace
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_jump_markov, weigh_modes
+from motes.filters.interface import Guide, Info, TwoStageFilter, weigh_modes
+from motes.filters.needs import as_jump_markov
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import moments_each
 from motes.laws.mode_mixture import ModeMixture

@@ -9,15 +9,13 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
+from motes.filters.needs import as_state_space
 from motes.laws.cloud import Cloud
-from motes.laws.conditional import Conditional, Custom
+from motes.laws.conditional import Conditional
 from motes.laws.mode_mixture import ModeMixture
-from motes.models import linearize
 from motes.models.jump_markov import JumpMarkovModel, measured
-from motes.models.mixed_linear import MixedLinearModel
 from motes.models.proposals import Proposal
 from motes.models.state_space import StateSpaceModel
-from motes.models.structure import structure
 from motes.native import cloudwise
 from motes.resampling.policy import Policy, resample
 from motes.resampling.schemes import Scheme, Weighted
@@ -246,97 +244,3 @@ class TwoStageFilter(Filter):
         # the barrier keeps the two stages apart, so that a stream that does them one by one computes the same bits
         predicted = jax.lax.optimization_barrier(predicted)
         return self.update(random.child(key, random.UPDATE), model, predicted, y, u, t)
-
-
-def as_state_space(asked_by: str, model: Any) -> StateSpaceModel:
-    """Return a state-space model, joining the parts of a mixed linear one.
-
-    Raises:
-        MotesError: the value is no model.
-    """
-    if isinstance(model, StateSpaceModel):
-        return model
-    if isinstance(model, MixedLinearModel):
-        return model.joined()
-    hint = "Use InteractingMultipleModel or JumpMarkovFilter, or give model.joined()." if isinstance(model, JumpMarkovModel) else ""
-    checks.refuse(f"{asked_by} model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__, hint)
-
-
-def as_particle_model(asked_by: str, model: Any, transition_density: bool) -> StateSpaceModel:
-    """Return a state-space model whose dynamics can be drawn from, and whose sensor has a density.
-
-    Args:
-        asked_by: the filter, for the message.
-        model: state-space or mixed linear model.
-        transition_density: whether the dynamics must have a density too.
-
-    Raises:
-        MotesError: one is missing, or the value is no model.
-    """
-    model = as_state_space(asked_by, model)
-    dynamics, sensor = model.dynamics, model.sensor
-    ask_density(f"{asked_by} sensor", sensor, " (weights are likelihoods)")
-    if isinstance(dynamics, Custom) and dynamics.sampler is None:
-        checks.refuse(f"{asked_by} dynamics", "a sample function (particles are moved by it)", "Custom with log_prob only")
-    if transition_density:
-        ask_density(f"{asked_by} dynamics", dynamics, " (a proposal's weights need it)")
-    return model
-
-
-def ask_density(argument: str, part: Conditional, why: str = "", hint: str = "") -> None:
-    """Refuse a conditional without a density.
-
-    Args:
-        argument: who asks, and for which part of the model.
-        part: the conditional.
-        why: reason, for the message.
-        hint: what to do instead.
-    """
-    if isinstance(part, Custom) and part.density is None:
-        checks.refuse(argument, f"a log_prob{why}", "Custom with sample only", hint)
-
-
-def as_linear_model(asked_by: str, model: Any, u: Any) -> StateSpaceModel:
-    """Return a state-space model that is linear in every state, with Gaussian noises and initial law.
-
-    Raises:
-        MotesError: it is not; the message names a state and the reason.
-    """
-    model = as_state_space(asked_by, model)
-    found = structure(model, u)
-    if len(found.linear) < model.size:
-        name, reason = found.reasons[0]
-        checks.refuse(f"{asked_by} model", "a linear-Gaussian model", f"{name}: {reason}", "Use ExtendedKalmanFilter or a particle filter.")
-    return model
-
-
-def as_moment_model(asked_by: str, model: Any) -> StateSpaceModel:
-    """Return a state-space model whose dynamics and sensor have a mean function and a noise covariance.
-
-    Raises:
-        MotesError: one of them has not, or the value is no model.
-    """
-    model = as_state_space(asked_by, model)
-    _check_moments(asked_by, model)
-    return model
-
-
-def as_jump_markov(asked_by: str, model: Any) -> JumpMarkovModel:
-    """Return a jump-Markov model whose modes have means and noise covariances; any other model is one with a single mode.
-
-    Raises:
-        MotesError: a mode has none, or the value is no model.
-    """
-    if not isinstance(model, JumpMarkovModel):
-        return JumpMarkovModel([1.0], [[1.0]], as_moment_model(asked_by, model))
-    for part in model.models:
-        _check_moments(asked_by, part)
-    return model
-
-
-def _check_moments(asked_by: str, model: StateSpaceModel) -> None:
-    for name in ("dynamics", "sensor"):
-        part = getattr(model, name)
-        if not linearize.has_moments(part):
-            hint = "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter."
-            checks.refuse(f"{asked_by} {name}", "a mean function and a noise covariance", type(part).__name__, hint)

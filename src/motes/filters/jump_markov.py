@@ -18,7 +18,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_jump_markov, weigh_modes
+from motes.filters.interface import Guide, Info, TwoStageFilter, weigh_modes
+from motes.filters.needs import as_jump_markov
 from motes.laws.gaussian import Gaussian
 from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import log_chances

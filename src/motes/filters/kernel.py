@@ -16,7 +16,8 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, random
 from motes.core.logspace import uniform_weights
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, evolve, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh
+from motes.filters.needs import as_state_space
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture

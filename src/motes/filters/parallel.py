@@ -16,7 +16,8 @@ from motes.core.record import replace
 from motes.core.types import Inputs
 from motes.filters import keep
 from motes.filters.history import Carry, History
-from motes.filters.interface import as_linear_model, single
+from motes.filters.interface import single
+from motes.filters.needs import as_linear_model
 from motes.filters.run import checked_measurements
 from motes.laws.gaussian import Gaussian, among, zeroed
 from motes.models import linearize

@@ -11,7 +11,8 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, guided, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve, guided, reweigh
+from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models.proposals import Proposal, as_proposal

@@ -11,7 +11,8 @@ import numpy as np
 
 from motes.core import checks, logspace, pairs
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_state_space, ask_density, weigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, weigh
+from motes.filters.needs import as_state_space, ask_density
 from motes.laws.cloud import Cloud
 from motes.models.state_space import StateSpaceModel
 

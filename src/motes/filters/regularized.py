@@ -16,7 +16,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_particle_model, by_likelihood, evolve, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve, reweigh
+from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.models.state_space import StateSpaceModel

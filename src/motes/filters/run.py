@@ -14,7 +14,8 @@ from motes.core.record import replace, values
 from motes.core.types import Inputs, KeyLike
 from motes.filters import keep as keeping
 from motes.filters.history import Carry, History
-from motes.filters.interface import Filter, Info, as_state_space
+from motes.filters.interface import Filter, Info
+from motes.filters.needs import as_state_space
 from motes.laws.conditional import Conditional
 from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.jump_markov import JumpMarkovModel, modes_of

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from motes.core.record import record
-from motes.filters.interface import Guide, Info, TwoStageFilter, as_linear_model, single
+from motes.filters.interface import Guide, Info, TwoStageFilter, single
+from motes.filters.needs import as_linear_model
 from motes.laws.factored import FactoredGaussian
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
-from motes.filters.interface import as_state_space
+from motes.filters.needs import as_state_space
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Custom
 from motes.models.state_space import StateSpaceModel

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, static
-from motes.filters.interface import as_particle_model, ask_density
+from motes.filters.needs import as_particle_model, ask_density
 from motes.laws.cloud import draw
 from motes.mcmc.interface import LogDensity, Position
 from motes.models.state_space import at_step

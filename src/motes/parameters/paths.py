@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record
-from motes.filters.interface import as_state_space
+from motes.filters.needs import as_state_space
 from motes.mcmc.interface import Info, Kernel, Position, State
 from motes.models.state_space import StateSpaceModel, at_step, driven
 from motes.parameters.posterior import Parametric

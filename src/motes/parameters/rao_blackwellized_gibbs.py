@@ -14,8 +14,9 @@ import jax.numpy as jnp
 from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.filters import keep
-from motes.filters.interface import Info, TwoStageFilter, as_state_space
+from motes.filters.interface import Info, TwoStageFilter
 from motes.filters.marginalized import MarginalizedParticleFilter, moved
+from motes.filters.needs import as_state_space
 from motes.filters.run import run
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.mcmc.interface import LogDensity, Position

@@ -7,8 +7,9 @@ from motes.core import checks
 from motes.core.record import replace
 from motes.core.types import Inputs
 from motes.filters.extended_kalman import ExtendedKalmanFilter
-from motes.filters.interface import Filter, as_state_space
+from motes.filters.interface import Filter
 from motes.filters.marginalized import MarginalizedParticleFilter
+from motes.filters.needs import as_state_space
 from motes.filters.particle import ParticleFilter
 from motes.models.structure import structure
 

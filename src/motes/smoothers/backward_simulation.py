@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from motes.core import checks, logspace, random
 from motes.core.record import record, static
 from motes.filters.history import History
-from motes.filters.interface import as_state_space
+from motes.filters.needs import as_state_space
 from motes.laws.cloud import Cloud, draw, weighted_moments
 from motes.models.state_space import StateSpaceModel, at_step
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_backward_density, ask_laws

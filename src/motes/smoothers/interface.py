@@ -8,7 +8,7 @@ import jax
 from motes.core import checks
 from motes.core.record import record, static
 from motes.filters.history import History
-from motes.filters.interface import ask_density
+from motes.filters.needs import ask_density
 from motes.laws.law import Law
 from motes.models.state_space import StateSpaceModel
 

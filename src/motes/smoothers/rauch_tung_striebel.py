@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from motes.core import checks, linalg
 from motes.core.record import record, static
 from motes.filters.history import History
-from motes.filters.interface import as_moment_model
+from motes.filters.needs import as_moment_model
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize, sigma_points
 from motes.models.state_space import StateSpaceModel, at_step

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from motes.core import checks, logspace, pairs, random
 from motes.core.record import record, static
 from motes.filters.history import History
-from motes.filters.interface import as_particle_model
+from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel

@@ -10,7 +10,8 @@ import numpy as np
 from motes.core import checks, random
 from motes.core.record import record, static
 from motes.core.types import Inputs
-from motes.filters.interface import Filter, as_state_space
+from motes.filters.interface import Filter
+from motes.filters.needs import as_state_space
 from motes.filters.run import Engine
 from motes.models.canonical import one_of
 from motes.models.mixed_linear import MixedLinearModel
