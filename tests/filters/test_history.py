@@ -79,7 +79,7 @@ def test_other_kinds_and_formats_are_refused(history, tmp_path):
             archive.writestr(name, content)
     with pytest.raises(mo.FileError, match="format: expected version 1, got version 99"):
         mo.History.load(path)
-    with pytest.raises(mo.FileError, match="no such file"):
+    with pytest.raises(mo.FileError, match="No such file"):
         mo.History.load(tmp_path / "nowhere.npz")
 
 

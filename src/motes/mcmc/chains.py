@@ -101,7 +101,9 @@ class Chains:
             FileError: the file holds no chains, is damaged, or does not fit the arguments.
         """
         path = Path(path)
-        tree, texts = archive.read_tree(path, kind="chains")
+        tree, texts = archive.read_tree(path, "chains", lambda forms, texts: _check_forms(path, forms, texts))
+        if not np.isfinite(tree["log_density"]).all():
+            checks.refuse(f"{path}: log_density", "finite numbers", "NaN or infinite ones", "Restore it from a copy.", checks.FileError)
         counts = {name: jnp.asarray(tree["info"][name]) for name in ("tried", "accepted", "invalid")}
         positions, last = tree["positions"], tree["last"]
         if kernel is not None and log_density is not None:
@@ -115,6 +117,19 @@ class Chains:
             every = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*shape, *leaf.shape), leaf.dtype), position)
             positions = archive.fill(path, {"positions": every}, tree)["positions"]
         return cls(positions, jnp.asarray(tree["log_density"]), Info(**counts), last, tree["steps"], tuple(texts["moves"]), texts["kernel"])
+
+
+def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> None:
+    """Refuse a file whose arrays cannot be those of chains, before they are read."""
+    moves = texts.get("moves")
+    if not isinstance(moves, list) or not all(isinstance(move, str) for move in moves) or not isinstance(texts.get("kernel"), str):
+        checks.refuse(f"{path}: texts", "names of moves and of a kernel", "others", "Restore it from a copy.", checks.FileError)
+    archive.agree(path, forms, {"log_density": ((None, None), "f"), "steps": ((), "iu")})
+    chains, draws = forms["log_density"].shape
+    counts = {"tried": "iuf", "accepted": "iuf", "invalid": "iu"}
+    archive.agree(path, forms, {f"info/{name}": ((chains, len(moves)), kind) for name, kind in counts.items()})
+    archive.agree(path, forms, {"last/log_density": ((chains,), "f")})
+    archive.repeats(path, forms, "positions", (chains, draws), "last/position", (chains,))
 
 
 def joined(pieces: list[Chains]) -> Chains:
