@@ -156,6 +156,11 @@ def cholesky_update(lower: jax.Array, v: jax.Array) -> jax.Array:
     return _lower(columns)
 
 
+def triangle(v: jax.Array) -> jax.Array:
+    """Lower factor of V V' for V `(i, m, *n)`; the product is never formed, so that it keeps twice the digits."""
+    return cholesky_update(jnp.zeros((v.shape[0], v.shape[0], *v.shape[2:]), v.dtype), v)
+
+
 def _lower(columns: list[jax.Array]) -> jax.Array:
     """Put columns that start at the diagonal together as a lower triangle."""
     padded = [jnp.concatenate([jnp.zeros((j, *c.shape[1:]), c.dtype), c]) if j else c for j, c in enumerate(columns)]

@@ -41,7 +41,8 @@ class FactoredGaussian(Law):
 
     def moved(self, center: jax.Array, slope: jax.Array, noise: jax.Array) -> "FactoredGaussian":
         """Return the law of a state about the center `(x,)`, moved by a slope `(x, x)` with noise of covariance `(x, x)`."""
-        return FactoredGaussian(center, _triangle(jnp.concatenate([linalg.product(slope, self.factor), linalg.cholesky(noise)], axis=1)))
+        both = jnp.concatenate([linalg.product(slope, self.factor), linalg.cholesky(noise)], axis=1)
+        return FactoredGaussian(center, linalg.triangle(both))
 
     def corrected(self, innovation: jax.Array, H: jax.Array, R: jax.Array, seen: jax.Array) -> "Correction[FactoredGaussian]":
         """Condition on an innovation `(y,)` of y = H x + e, e of covariance R `(y, y)`, as `Gaussian.corrected` does.
@@ -52,7 +53,7 @@ class FactoredGaussian(Law):
         size = innovation.shape[0]
         nothing = jnp.zeros((self.center.shape[0], size), self.factor.dtype)
         rows = [[linalg.cholesky(R), linalg.product(H, self.factor)], [nothing, self.factor]]
-        triangle = _triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]))
+        triangle = linalg.triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]))
         factor, gain, left = triangle[:size, :size], triangle[size:, :size], triangle[size:, size:]
         log_evidence, peak = log_density(innovation, factor, seen)
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
@@ -62,8 +63,3 @@ class FactoredGaussian(Law):
     def inflated(self, factor: float) -> "FactoredGaussian":
         """Return the law with its covariance times a factor."""
         return FactoredGaussian(self.center, self.factor * jnp.sqrt(jnp.asarray(factor, self.factor.dtype)))
-
-
-def _triangle(v: jax.Array) -> jax.Array:
-    """Lower factor of V V' for V `(i, m)`; the product is never formed."""
-    return linalg.cholesky_update(jnp.zeros((v.shape[0], v.shape[0]), v.dtype), v)

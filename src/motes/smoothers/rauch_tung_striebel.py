@@ -3,9 +3,17 @@
 Backward over the steps, with the dynamics near the filtered mean m replaced by x' = c + F (x - m) + noise of covariance Q:
 
     G = P F' (F P F' + Q)^-1
-    mean <- m + G (mean' - c),   cov <- (1 - G F) P (1 - G F)' + G (Q + cov') G'
+    mean <- m + G (mean' - c),   cov <- P - G (F P F' + Q) G' + G cov' G'
 
 F is the slope at m (exact for linear models, the extended smoother elsewhere), or that of the plane through sigma points (Sarkka 2008).
+All covariances are held by factors, P = U U' and cov = C C', in the manner of Park and Kailath (1995, Square-root RTS smoothing
+algorithms): one triangle gives the gain and what it leaves,
+
+    [F U, Q^1/2; U, 0] = [X, 0; Y, D] (orthogonal),   G = Y X^-1,   cov = D D' + (G C') (G C')'
+
+so that a predicted covariance that is singular, or nearly so, costs few digits. A direction in which X has no length is one that the
+prediction knows already, and is left alone. So is one in which X^-1 C' differs from 1 by no more than the rounding of the filtered
+covariance: what it says there of the future is noise, and backward over many steps such factors multiply up.
 """
 
 from typing import Any
@@ -17,15 +25,18 @@ from motes.core import checks, linalg
 from motes.core.record import record, static
 from motes.filters.history import History
 from motes.filters.needs import as_moment_model
+from motes.laws.factored import FactoredGaussian
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize, sigma_points
 from motes.models.state_space import StateSpaceModel, at_step
 from motes.smoothers.interface import Smoothed, Smoother, Steps
 
+_ROUNDING = 8.0
+
 
 @record
 class RauchTungStriebelSmoother(Smoother):
-    """Rauch-Tung-Striebel smoother; it works with the moments of a filter whose state is a `Gaussian`.
+    """Rauch-Tung-Striebel smoother; it works with the moments of a filter whose state is a `Gaussian` or a `FactoredGaussian`.
 
     Attributes:
         slope: of the dynamics: "jacobian" at the filtered mean (the Kalman and the extended smoother), or "sigma", that of the plane
@@ -48,34 +59,43 @@ class RauchTungStriebelSmoother(Smoother):
         Raises:
             MotesError: one is missing.
         """
-        if not isinstance(history.state, Gaussian):
+        if not isinstance(history.state, (Gaussian, FactoredGaussian)):
             checks.refuse("RauchTungStriebelSmoother history", "laws of the kind Gaussian", type(history.state).__name__,
                           "Use BackwardSimulationSmoother for clouds.")
         return as_moment_model("RauchTungStriebelSmoother", model)
 
     def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
         """Go backward from the last law."""
+        size, factored, eps = model.size, isinstance(history.state, FactoredGaussian), float(jnp.finfo(model.dtype).eps)
 
-        def back(after: Gaussian, row: Any) -> tuple[Gaussian, tuple[jax.Array, jax.Array]]:
-            mean, cov, u, t = row
+        def back(after: FactoredGaussian, row: Any) -> tuple[FactoredGaussian, tuple[jax.Array, jax.Array]]:
+            mean, cov, filtered, u, t = row
             before = Gaussian(mean, cov)
             if self.slope == "sigma":
                 prediction, F, Q = sigma_points.affine(model.dynamics, sigma_points.cubature(model.size), before, u, t)
             else:
                 prediction, F, Q = linearize.affine(model.dynamics, mean, u, t)
-            cross = linalg.product(F, cov)
-            factor = linalg.cholesky(linalg.symmetric(linalg.product_transposed(cross, F) + Q))
-            G = linalg.transpose(linalg.solve(factor, cross))
-            kept = linalg.identity_like(cov) - linalg.product(G, F)
-            now = Gaussian(
-                mean + linalg.times_vector(G, model.dynamics.residual(after.center, prediction)),
-                linalg.sandwich(kept, cov) + linalg.sandwich(G, Q + after.covariance),
-            )
-            return now, (now.center, now.covariance)
+            root = linalg.cholesky(cov)
+            nothing = jnp.zeros((size, size), root.dtype)
+            rows = [[linalg.product(F, root), linalg.cholesky(linalg.symmetric(Q))], [root, nothing]]
+            whole = linalg.triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]))
+            predicted, across, left = whole[:size, :size], whole[size:, :size], whole[size:, size:]
+            pull = linalg.solve_lower(predicted, model.dynamics.residual(after.center, prediction))
+            ratio = linalg.solve_lower(predicted, after.factor)
+            size_of = jnp.sum(predicted**2, axis=1)
+            # what a filter subtracts from the predicted covariance is rounded to its size; a factor is rounded to its own
+            rounding = jnp.diag(filtered) if factored else size_of
+            pivot = jnp.diag(predicted)
+            silent = jnp.abs(jnp.sum(ratio**2, axis=1) - 1) * pivot**2 <= _ROUNDING * eps * rounding
+            pull = jnp.where(silent & (pivot**2 <= eps * size_of), 0, pull)
+            told = linalg.product(across, jnp.where(silent[:, None], 0, ratio))
+            spread = jnp.concatenate([told, jnp.where(silent, across, 0)], axis=1)
+            now = FactoredGaussian(mean + linalg.times_vector(across, pull), linalg.cholesky_update(left, spread))
+            return now, (now.center, now.cov())
 
         moments = (history.mean, history.cov)
-        rows = *(leaf[:-1] for leaf in moments), *jax.tree.map(lambda leaf: leaf[1:], (steps.u, steps.t))
+        rows = *(leaf[:-1] for leaf in moments), history.cov[1:], *jax.tree.map(lambda leaf: leaf[1:], (steps.u, steps.t))
         last = at_step(moments, -1)
-        _, earlier = jax.lax.scan(back, Gaussian(*last), rows, reverse=True)
+        _, earlier = jax.lax.scan(back, FactoredGaussian.of(Gaussian(*last)), rows, reverse=True)
         mean, cov = (jnp.concatenate([some, one[None]]) for some, one in zip(earlier, last, strict=True))
         return Smoothed(mean, cov)
