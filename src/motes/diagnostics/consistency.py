@@ -9,7 +9,7 @@ from scipy.special import gammaincinv, ndtri
 
 from motes.core import checks, linalg
 from motes.filters.history import History
-from motes.laws.conditional import wrap
+from motes.laws.circular import wrap
 
 
 def normalized_errors(errors: jax.Array, covs: jax.Array) -> jax.Array:
@@ -54,14 +54,13 @@ def nees(history: History, truth: Any, angles: tuple[int, ...] = ()) -> jax.Arra
     Args:
         history: with means and covariances.
         truth: true states `(t, x)`.
-        angles: states that are angles in radians.
+        angles: states that are angles in radians, beside those that the dynamics of the run declare.
 
     Raises:
         MotesError: truth has another shape.
     """
     checks.shape("nees truth", truth, history.mean.shape, "(steps, states)")
-    errors = wrap((jnp.asarray(truth) - history.mean).T, angles)
-    return normalized_errors(errors, jnp.moveaxis(history.cov, 0, -1))
+    return normalized_errors(_errors(history, truth, angles).T, jnp.moveaxis(history.cov, 0, -1))
 
 
 def nis(history: History) -> jax.Array:
@@ -89,7 +88,12 @@ def coverage(history: History, truth: Any, level: float = 0.95) -> jax.Array:
     checks.shape("coverage truth", truth, history.mean.shape, "(steps, states)")
     _check_level("coverage level", level)
     widest = float(ndtri(0.5 + level / 2)) * jnp.sqrt(jnp.diagonal(history.cov, axis1=1, axis2=2))
-    return jnp.mean(jnp.abs(jnp.asarray(truth) - history.mean) <= widest, axis=0)
+    return jnp.mean(jnp.abs(_errors(history, truth)) <= widest, axis=0)
+
+
+def _errors(history: History, truth: Any, angles: tuple[int, ...] = ()) -> jax.Array:
+    """Truth less means `(t, x)`, the short way round in angles."""
+    return wrap((jnp.asarray(truth) - history.mean).T, (*history.circular, *angles)).T
 
 
 def _check_level(argument: str, level: float) -> None:

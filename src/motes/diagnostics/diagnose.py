@@ -33,7 +33,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     Args:
         history: of a run. With `keep=mo.keep.laws` more can be seen.
         truth: true states `(t, x)`, where they are known.
-        angles: states that are angles in radians.
+        angles: states that are angles in radians, beside those that the dynamics of the run declare.
 
     Raises:
         MotesError: truth has another shape.

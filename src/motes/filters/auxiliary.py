@@ -96,7 +96,8 @@ class AuxiliaryParticleFilter(Filter):
 
         def blind() -> Cloud:
             cloud = resample(resample_key, self.scheme, self.policy, state)
-            return replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
+            moved = replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
+            return moved.gathered(model.circular)
 
         # particles that were picked by a measurement that is not used are no sample of what was known before
         refused = info.collapsed | jnp.all(jnp.isnan(y))

@@ -142,7 +142,7 @@ class CostReferenceParticleFilter(Filter):
 
         after, info = self._taken_in(model, moved(state.chosen(ancestors), ahead[:, ancestors]), y, u, t)
         blind = replace(state, ancestors=jnp.arange(self.n, dtype=jnp.int32))
-        return self.settle(moved(blind, ahead), after, info, y)
+        return self.settle(moved(blind, ahead).gathered(model.circular), after, info, y)
 
     def _scales(self, model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Standard deviations of the steps, `(x, n)` or what broadcasts to it."""

@@ -66,9 +66,10 @@ class EnsembleKalmanFilter(TwoStageFilter):
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
         """Move each member to time t, and inflate."""
-        moved = model.dynamics.sample(random.child(key, random.NOISE), state.particles, u, t)
-        middle = jnp.mean(moved, axis=1, keepdims=True)
-        return replace(state, particles=middle + self.inflation * (moved - middle))
+        moved = replace(state, particles=model.dynamics.sample(random.child(key, random.NOISE), state.particles, u, t))
+        members = moved.gathered(model.circular).particles
+        middle = jnp.mean(members, axis=1, keepdims=True)
+        return replace(state, particles=middle + self.inflation * (members - middle))
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Move the members by y."""

@@ -14,6 +14,7 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, weigh
 from motes.filters.needs import as_particle_model
+from motes.laws.circular import gathered
 from motes.laws.cloud import weighted_moments
 from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel
@@ -67,18 +68,18 @@ class GaussianParticleFilter(TwoStageFilter):
         X = state.sample(random.child(key, random.INITIAL), self.n)
         return model.dynamics.sample(random.child(key, random.NOISE), X, u, t)
 
-    def _unweighed(self, X: jax.Array) -> Gaussian:
-        return Gaussian(*weighted_moments(logspace.uniform_weights(self.n, X.dtype), X))
+    def _unweighed(self, model: StateSpaceModel, X: jax.Array) -> Gaussian:
+        return _fitted(model, logspace.uniform_weights(self.n, X.dtype), X)
 
     def _weighed(self, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         likelihood, ceiling = model.sensor.log_prob(y, X, u, t), model.sensor.ceiling(y, X, u, t)
         weights, info = weigh(logspace.uniform_weights(self.n, X.dtype), likelihood, ceiling)
         # after a collapse the next particles are drawn anew, all of equal weight
-        return Gaussian(*weighted_moments(weights, X)), replace(info, ess=jnp.where(info.collapsed, self.n, info.ess))
+        return _fitted(model, weights, X), replace(info, ess=jnp.where(info.collapsed, self.n, info.ess))
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
         """Draw particles, move them, keep their moments."""
-        return self._unweighed(self._moved(key, model, state, u, t))
+        return self._unweighed(model, self._moved(key, model, state, u, t))
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Draw particles, weigh them by the likelihood of y, keep their moments."""
@@ -90,4 +91,9 @@ class GaussianParticleFilter(TwoStageFilter):
             return TwoStageFilter.step(self, key, model, state, y, u, t)
         X = self._moved(random.child(key, random.PREDICT), model, state, u, t)
         after, info = self._weighed(model, X, y, u, t)
-        return self.settle(self._unweighed(X), after, info, y)
+        return self.settle(self._unweighed(model, X), after, info, y)
+
+
+def _fitted(model: StateSpaceModel, log_weights: jax.Array, X: jax.Array) -> Gaussian:
+    """Return the Gaussian with the moments of weighted particles `(x, n)`."""
+    return Gaussian(*weighted_moments(log_weights, gathered(X, log_weights, model.circular)))

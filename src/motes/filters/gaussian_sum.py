@@ -122,13 +122,13 @@ class GaussianSumParticleFilter(TwoStageFilter):
         equal = jnp.full(points.shape[1:], -jnp.log(jnp.asarray(self.n, X.dtype)))
         if self.form != "II":
             moved = model.dynamics.sample(random.child(key, random.NOISE), X, u, t)
-            parts = moments_each(equal, moved.reshape(points.shape))
+            parts = moments_each(equal, moved.reshape(points.shape), model.circular)
             copies = self._copies(model)
             log_weights = state.log_weights - jnp.log(jnp.asarray(copies, X.dtype))
             return Mixture(*jax.tree.map(lambda leaf: jnp.concatenate([leaf] * copies, axis=-1), (parts, log_weights)))
         found: list[Mixture] = []
         for log_weight, part in self._split(model):
-            moved = moments_each(equal, over_particles(part.mean, X, u, t).reshape(points.shape))
+            moved = moments_each(equal, over_particles(part.mean, X, u, t).reshape(points.shape), model.circular)
             noise = matrix_over(part.cov, X, u, t)
             if noise.ndim == 3:
                 noise = jnp.mean(noise.reshape(*noise.shape[:2], *points.shape[1:]), axis=2)

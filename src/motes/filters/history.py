@@ -47,6 +47,7 @@ class History:
         label: the filter, as it prints.
         has_evidence: whether the filter knows its likelihood.
         engine: what did the work: "jax", "native", or "native in part" (see `engine` and `explain`).
+        circular: indices of the states that are angles in radians.
     """
 
     kept: dict[str, Any]
@@ -57,6 +58,7 @@ class History:
     label: str = static()
     has_evidence: bool = static(default=True)
     engine: str = static(default="jax")
+    circular: tuple[int, ...] = static(default=())
 
     def _kept(self, name: str) -> Any:
         if name not in self.kept:
@@ -66,7 +68,7 @@ class History:
 
     @property
     def mean(self) -> jax.Array:
-        """Filtered means, `(t, x)`."""
+        """Filtered means, `(t, x)`; of an angle the circular mean, on the branch on which the dynamics leave it."""
         return self._kept("mean")
 
     @property
@@ -158,6 +160,7 @@ class History:
             return archive.write_dataset(path, self.to_xarray())
         if path.suffix == ".npz":
             texts = {"names": list(self.names), "filter": self.label, "has_evidence": self.has_evidence, "engine": self.engine}
+            texts["circular"] = list(self.circular)
             return archive.write_tree(path, self._data(), texts, kind="history")
         checks.refuse(str(path), "a name that ends in .nc or .npz", path.suffix or "no ending", error=checks.FileError)
 
@@ -176,7 +179,7 @@ class History:
         last = dict(tree["last"])
         evidence = RunningSum(**{name: jnp.asarray(value) for name, value in last.pop("evidence").items()})
         carry = Carry(state=last.get("state"), evidence=evidence, y=last["y"], u=last.get("u"), step=last["step"])
-        labels = (tuple(texts["names"]), texts["filter"], bool(texts["has_evidence"]), texts["engine"])
+        labels = (tuple(texts["names"]), texts["filter"], bool(texts["has_evidence"]), texts["engine"], tuple(texts.get("circular", ())))
         return cls(tree.get("kept", {}), info, carry, tree["start"], *labels)
 
 

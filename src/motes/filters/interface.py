@@ -15,7 +15,7 @@ from motes.laws.conditional import Conditional
 from motes.laws.mode_mixture import ModeMixture
 from motes.models.jump_markov import JumpMarkovModel, measured
 from motes.models.proposals import Proposal
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, circular
 from motes.native import cloudwise
 from motes.resampling.policy import Policy, resample
 from motes.resampling.schemes import Scheme, Weighted
@@ -241,6 +241,7 @@ class TwoStageFilter(Filter):
     def step(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
         """Go to the next time t and take in its measurement."""
         predicted = self.predict(random.child(key, random.PREDICT), model, state, u, t)
+        predicted = predicted.gathered(circular(model))
         # the barrier keeps the two stages apart, so that a stream that does them one by one computes the same bits
         predicted = jax.lax.optimization_barrier(predicted)
         return self.update(random.child(key, random.UPDATE), model, predicted, y, u, t)

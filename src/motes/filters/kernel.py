@@ -42,6 +42,7 @@ class LocalModel:
         linear: indices of the others.
         steady: whether slope and noise of the dynamics are the same at every state.
         plane: whether the slope of the sensor in the other states is.
+        circular: indices of the states that are angles.
     """
 
     dynamics: AdditiveGaussian
@@ -51,6 +52,7 @@ class LocalModel:
     linear: tuple[int, ...] = static()
     steady: bool = static()
     plane: bool = static()
+    circular: tuple[int, ...] = static()
 
 
 @record
@@ -128,7 +130,8 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         moving = varying(traced, linear, size).get("sensor slope")
         plane = moving is None or not moving[:size].any()
         nonlinear = tuple(i for i in range(size) if i not in linear)
-        return LocalModel(model.dynamics, model.sensor, model.initial, nonlinear, linear, not bends, plane)  # type: ignore[arg-type]
+        told = (nonlinear, linear, not bends, plane, model.circular)
+        return LocalModel(model.dynamics, model.sensor, model.initial, *told)  # type: ignore[arg-type]
 
     def init(self, key: jax.Array, model: LocalModel) -> Mixture:
         """Draw n centers along the nonlinear states, the others following by regression, each with what is left of the covariance."""
@@ -156,7 +159,8 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         def resampled(law: Mixture) -> Mixture:
             return evolve(keys, self.scheme, self.policy, law, self.kernels.fitted(law, model.nonlinear))
 
-        return jax.lax.cond(t % self.every == 0, resampled, lambda law: law, evolve(keys, self.scheme, Never(), state, move))
+        moved = evolve(keys, self.scheme, Never(), state, move).gathered(model.circular)
+        return jax.lax.cond(t % self.every == 0, resampled, lambda law: law, moved)
 
     def correct(self, key: jax.Array, model: LocalModel, state: Mixture, y: jax.Array, u: Any, t: Any) -> tuple[Mixture, Info]:
         """Correct each kernel by y, and weigh it by its predictive density of y."""

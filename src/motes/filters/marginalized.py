@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh
-from motes.laws.conditional import wrap
+from motes.laws.circular import near, wrap
 from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.models.mixed_linear import Affine, MixedLinearModel, initial_split
@@ -132,15 +132,16 @@ def moved(
         first: where the first particle goes `(p,)`, for conditional sequential Monte Carlo; None draws it like the others.
     """
     own, other = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
+    angles = tuple(place for place in model.places if place < own.f.shape[0])
     if model.drives:
         expected = cloud.kalman.through(own.A, own.f, own.Q)
         surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, own.f.shape[-1])
         if first is not None:
-            surprise = surprise.at[:, 0].set(first - expected.center[:, 0])
+            surprise = surprise.at[:, 0].set(wrap(first - expected.center[:, 0], angles))
         informed, there = cloud.kalman.corrected(surprise, own.A, own.Q).law, expected.center + surprise
     else:
         informed, there = cloud.kalman, Gaussian(own.f, own.Q).sample(key, own.f.shape[-1])
-        there = there if first is None else there.at[:, 0].set(first)
+        there = there if first is None else there.at[:, 0].set(near(first, own.f[:, 0], angles))
     f, A, Q = _decorrelated(own, other, model.cross_cov(cloud.particles, example, u, t), there)
     return replace(cloud, particles=there, kalman=informed.through(A, f, Q))
 

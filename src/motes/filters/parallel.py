@@ -57,6 +57,9 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
 def _run(model: Any, ys: jax.Array, inputs: Inputs) -> History:
     model, told = driven(model, inputs, ys)
     model = as_linear_model("run_in_parallel", model, at_step(told, 0))
+    if model.sensor.angles:
+        checks.refuse("run_in_parallel sensor", "no angles (they are wrapped about a prediction, which is not there yet)",
+                      list(model.sensor.angles), "Use run with KalmanFilter.")
     t = jnp.arange(ys.shape[0], dtype=jnp.int32)
     first = linearize.measured(model.sensor, Gaussian(model.initial.mean(), model.initial.cov()), ys[0], at_step(told, 0), t[0])
     nothing = jnp.zeros_like(first.law.covariance)
@@ -74,7 +77,7 @@ def _run(model: Any, ys: jax.Array, inputs: Inputs) -> History:
     info = jax.vmap(single)(done.log_evidence, done.peak)
     evidence = RunningSum(jnp.sum(done.log_evidence), jnp.zeros((), ys.dtype))
     last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, ys[-1], at_step(inputs, -1), t[-1])
-    return History(jax.vmap(keep.moments)(laws), info, last, jnp.int32(0), model.names, "")
+    return History(jax.vmap(keep.moments)(laws), info, last, jnp.int32(0), model.names, "", circular=model.circular)
 
 
 def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> _Element:

@@ -98,4 +98,4 @@ class ParticleFilter(TwoStageFilter):
         noise_key = random.child(predict_key, random.NOISE)
         after, info = guided(noise_key, self._moves, model, cloud, y, u, t)
         blind = replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
-        return self.settle(blind, after, info, y)
+        return self.settle(blind.gathered(model.circular), after, info, y)

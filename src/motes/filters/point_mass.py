@@ -76,7 +76,7 @@ class PointMassFilter(TwoStageFilter):
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
         """Weigh the nodes by the initial density."""
         cloud = Cloud.equal(self.grid(model.dtype))
-        return replace(cloud, log_weights=logspace.normalize(model.initial.log_prob(cloud.particles))[0])
+        return replace(cloud, log_weights=logspace.normalize(model.initial_log_prob(cloud.particles))[0])
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
         """Sum over all transitions."""

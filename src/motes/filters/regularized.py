@@ -92,6 +92,7 @@ class RegularizedParticleFilter(TwoStageFilter):
         moved = evolve(keys, self.scheme, self.policy, state, move)
         if self.form == "post":
             return moved
+        moved = moved.gathered(model.circular)
         smooth = self.regularization.fitted(moved.log_weights, moved.particles, needed)
         return replace(moved, particles=smooth(random.child(keys[1], random.NOISE), moved.particles))
 
@@ -109,7 +110,7 @@ class RegularizedParticleFilter(TwoStageFilter):
         smooth = self.regularization.fitted(state.log_weights, state.particles, needed)
         parents = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
         noise_key = random.child(predict_key, random.NOISE)
-        blind = replace(parents, particles=model.dynamics.sample(noise_key, parents.particles, u, t))
+        blind = replace(parents, particles=model.dynamics.sample(noise_key, parents.particles, u, t)).gathered(model.circular)
         after, info = self.correct(key, model, blind, y, u, t)
 
         def log_target(X: jax.Array) -> jax.Array:

@@ -20,7 +20,7 @@ from motes.laws.conditional import Conditional
 from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.jump_markov import JumpMarkovModel, modes_of
 from motes.models.mixed_linear import MixedLinearModel
-from motes.models.state_space import Previous, StateSpaceModel, at_step, check_inputs, decorrelated, measurement_size
+from motes.models.state_space import Previous, StateSpaceModel, at_step, check_inputs, circular, decorrelated, measurement_size
 from motes.native import report
 
 Keep = Callable[[Any], dict[str, Any]]
@@ -107,7 +107,7 @@ def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first:
     else:
         start = first.step + 1
         carry, (kept, infos) = _over(advance, first, (ys, inputs))
-    return History(kept, infos, carry, start, engine.given.names, "", engine.filter.has_evidence)
+    return History(kept, infos, carry, start, engine.given.names, "", engine.filter.has_evidence, circular=engine.circular)
 
 
 def _over(advance: Callable[[Any, Any], Any], carry: Carry, rows: Any) -> tuple[Carry, Any]:
@@ -137,6 +137,7 @@ class Engine:
         self.key, self.filter, self.given = key, filter, model
         self.correlated = isinstance(model, StateSpaceModel) and model.noise_cross_cov is not None
         self.model = decorrelated(model) if isinstance(model, StateSpaceModel) else model
+        self.circular = circular(model)
 
     def prepared(self, u: Any) -> Any:
         """Return the model in the filter's own form."""
@@ -156,14 +157,14 @@ class Engine:
         nothing = jnp.full_like(y, jnp.nan)
         model = self.prepared(self.driven(u, u, nothing))
         state = self.filter.init(random.child(random.step_key(self.key, 0), random.INITIAL), model)
-        return Carry(state, RunningSum.zero(y.dtype), nothing, u, jnp.int32(0))
+        return Carry(state.gathered(self.circular), RunningSum.zero(y.dtype), nothing, u, jnp.int32(0))
 
     def take_in(self, carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
         """Update with a measurement of the present step."""
         driven = self.driven(carry.u, carry.u, carry.y)
         key = random.child(random.step_key(self.key, carry.step), random.UPDATE)
         state, info = self.filter.update(key, self.prepared(driven), carry.state, y, driven, carry.step)
-        return Carry(state, carry.evidence.add(info.log_evidence), y, carry.u, carry.step), info
+        return Carry(state.gathered(self.circular), carry.evidence.add(info.log_evidence), y, carry.u, carry.step), info
 
     def begin(self, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
         """Take step 0."""
@@ -175,7 +176,7 @@ class Engine:
         driven = self.driven(u, carry.u, carry.y)
         key = random.child(random.step_key(self.key, t), random.PREDICT)
         state = self.filter.predict(key, self.prepared(driven), carry.state, driven, t)  # type: ignore[attr-defined]
-        return Carry(state, carry.evidence, jnp.full_like(carry.y, jnp.nan), u, t)
+        return Carry(state.gathered(self.circular), carry.evidence, jnp.full_like(carry.y, jnp.nan), u, t)
 
     def step(self, carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
         """Go to the next step and take in its measurement."""
@@ -183,7 +184,7 @@ class Engine:
         t = carry.step + 1
         driven = self.driven(u, carry.u, carry.y)
         state, info = self.filter.step(random.step_key(self.key, t), self.prepared(driven), carry.state, y, driven, t)
-        return _apart((Carry(state, carry.evidence.add(info.log_evidence), y, u, t), info))
+        return _apart((Carry(state.gathered(self.circular), carry.evidence.add(info.log_evidence), y, u, t), info))
 
 
 def _apart(tree: Any) -> Any:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 
 from motes.core import engine, logspace, random, sums
 from motes.core.record import record, replace
+from motes.laws.circular import gathered
 from motes.laws.law import Law
 
 
@@ -79,6 +80,10 @@ class Cloud(Law):
         center = self.mean()[:, None]
         moved = center + jnp.matmul(self.particles - center, shares.T, precision=jax.lax.Precision.HIGHEST)
         return Cloud.equal(moved)
+
+    def gathered(self, angles: tuple[int, ...]) -> "Cloud":
+        """Return the cloud with particles on one branch of the states that are angles."""
+        return replace(self, particles=gathered(self.particles, self.log_weights, angles)) if angles else self
 
     def inflated(self, factor: float) -> "Cloud":
         """Return the cloud spread about its mean so that its covariance grows by a factor."""

@@ -10,11 +10,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, static
 from motes.core.types import MatrixLike, UserFunction
+from motes.laws.circular import wrap
 from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak
 from motes.laws.law import Law, as_law
 
@@ -86,16 +86,6 @@ def as_conditional(argument: str, value: Any) -> Conditional:
         MotesError: it is none.
     """
     return checks.instance(argument, value, Conditional, "a conditional such as mo.AdditiveGaussian(f, Q)")
-
-
-def wrap(difference: jax.Array, angles: tuple[int, ...]) -> jax.Array:
-    """Wrap the named rows of differences `(z, *n)` to (-pi, pi]; radians."""
-    if not angles:
-        return difference
-    turn = 2 * np.pi
-    circular = np.isin(np.arange(difference.shape[0]), np.array(angles) % difference.shape[0])
-    wrapped = difference - turn * jnp.ceil(difference / turn - 0.5)
-    return jnp.where(circular.reshape(-1, *([1] * (difference.ndim - 1))), wrapped, difference)
 
 
 def check_function(argument: str, value: Any) -> None:
@@ -300,18 +290,26 @@ class Custom(Conditional):
     Attributes:
         sampler: `(key, x, u, t)` draws one value `(z,)`; needed of dynamics, and of a sensor that is simulated.
         density: `(value, x, u, t)` gives the log density, one number; needed of a sensor.
+        angles: components of the value that are angles in radians: as states they are averaged as such.
     """
 
     sampler: Callable[..., jax.Array] | None
     density: Callable[..., jax.Array] | None
+    angles: tuple[int, ...] = static(default=())
     marginalizes = False
 
-    def __init__(self, sample: Callable[..., jax.Array] | None = None, log_prob: Callable[..., jax.Array] | None = None):
+    def __init__(
+        self,
+        sample: Callable[..., jax.Array] | None = None,
+        log_prob: Callable[..., jax.Array] | None = None,
+        angles: tuple[int, ...] = (),
+    ):
         """Check that at least one of the two functions is there.
 
         Args:
             sample: `(key, x, u, t)` to one value `(z,)`, or None.
             log_prob: `(value, x, u, t)` to its log density, or None.
+            angles: components of the value that are angles in radians.
 
         Raises:
             MotesError: both are missing, or one is not callable.
@@ -323,6 +321,7 @@ class Custom(Conditional):
                 checks.refuse(f"Custom {name}", "a function", type(value).__name__)
         object.__setattr__(self, "sampler", sample)
         object.__setattr__(self, "density", log_prob)
+        object.__setattr__(self, "angles", tuple(angles))
 
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Refuse: moments are not known."""

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 
 from motes.core import logspace
 from motes.core.record import record, replace, static
+from motes.laws.circular import gathered
 from motes.laws.cloud import Cloud, draw, weighted_moments
 from motes.laws.law import Law
 
@@ -60,6 +61,10 @@ class CostCloud(Law):
         equal = logspace.uniform_weights(ancestors.shape[0], self.log_weights.dtype)
         return replace(self, particles=self.particles[:, ancestors], log_weights=equal, ancestors=ancestors,
                        costs=self.costs[ancestors], spread=self.spread[ancestors])
+
+    def gathered(self, angles: tuple[int, ...]) -> "CostCloud":
+        """Return the cloud with particles on one branch of the states that are angles."""
+        return replace(self, particles=gathered(self.particles, self.log_weights, angles)) if angles else self
 
     def inflated(self, factor: float) -> "CostCloud":
         """Return the cloud spread about its mean so that its covariance grows by a factor."""

@@ -1,7 +1,7 @@
 """What every law answers, and what a foreign distribution is turned into."""
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,13 @@ class Law(ABC):
     def log_prob(self, value: jax.Array) -> jax.Array:
         """Log density at points `(x, *n)`, as `(*n)`."""
         refuse(type(self).__name__, "a law with a density", "one that can only be sampled", "Give it a log_prob.")
+
+    def gathered(self, angles: tuple[int, ...]) -> Self:
+        """Return the law with what it averages on one branch of the states named, which are angles; see `laws/circular.py`.
+
+        Laws that average nothing, such as one Gaussian, are as they were.
+        """
+        return self
 
 
 @record

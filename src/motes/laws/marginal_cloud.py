@@ -5,6 +5,7 @@ import jax.numpy as jnp
 
 from motes.core import linalg, logspace, random, sums
 from motes.core.record import record, replace, static
+from motes.laws.circular import gathered
 from motes.laws.cloud import Cloud, draw, weighted_moments
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
@@ -65,6 +66,14 @@ class MarginalCloud(Law):
     def unpicked(self) -> "MarginalCloud":
         """Return the cloud as it is, each particle its own ancestor."""
         return replace(self, ancestors=jnp.arange(self.ancestors.shape[0], dtype=jnp.int32))
+
+    def gathered(self, angles: tuple[int, ...]) -> "MarginalCloud":
+        """Return the cloud with particles and means on one branch of the states, in the user's order, that are angles."""
+        if not angles:
+            return self
+        p = self.particles.shape[0]
+        both = gathered(self._concatenated(), self.log_weights, tuple(self.order[a] for a in angles))
+        return replace(self, particles=both[:p], kalman=Gaussian(both[p:], self.kalman.covariance))
 
     def inflated(self, factor: float) -> "MarginalCloud":
         """Return the cloud with the covariance of both parts times a factor."""

@@ -1,17 +1,24 @@
 """Mixtures of Gaussians."""
 
+from typing import Self
+
 import jax
 import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random, sums
 from motes.core.record import record, replace
+from motes.laws.circular import gathered
 from motes.laws.cloud import draw, weighted_moments
 from motes.laws.gaussian import Gaussian, log_normal
 from motes.laws.law import Law
 
 
-def moments_each(log_weights: jax.Array, points: jax.Array) -> Gaussian:
-    """Return the m Gaussians with the moments of m clouds `(x, n, m)`, each under its own normalized log weights `(n, m)`."""
+def moments_each(log_weights: jax.Array, points: jax.Array, angles: tuple[int, ...] = ()) -> Gaussian:
+    """Return the m Gaussians with the moments of m clouds `(x, n, m)`, each under its own normalized log weights `(n, m)`.
+
+    The rows in `angles` may lie on any branch.
+    """
+    points = gathered(points, log_weights, angles)
     weights, exact = jnp.exp(log_weights), jax.lax.Precision.HIGHEST
     center = jnp.einsum("inm,nm->im", points, weights, precision=exact)
     off = points - center[:, None]
@@ -85,6 +92,12 @@ class Mixture(Law):
     def unpicked(self) -> "Mixture":
         """Return the mixture as it is; components keep no record of their ancestors."""
         return self
+
+    def gathered(self, angles: tuple[int, ...]) -> Self:
+        """Return the mixture with means on one branch of the states that are angles."""
+        if not angles:
+            return self
+        return replace(self, parts=Gaussian(gathered(self.parts.center, self.log_weights, angles), self.parts.covariance))
 
     def inflated(self, factor: float) -> "Mixture":
         """Return the mixture with each component's covariance times a factor and the means spread to match."""

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
-from motes.core.record import record
+from motes.core.record import record, static
 from motes.laws.conditional import Conditional
 from motes.laws.law import Law
 
@@ -90,10 +90,12 @@ class SwitchingDynamics(Conditional):
     Attributes:
         transition: probabilities `(m, m)` or a function of (u, t) that returns them.
         parts: dynamics of each mode.
+        angles: indices of the states that are angles.
     """
 
     transition: jax.Array | Callable[[Any, Any], Any]
     parts: tuple[Conditional, ...]
+    angles: tuple[int, ...] = static(default=())
 
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Refuse: a Gaussian says little of a mode."""

@@ -79,6 +79,11 @@ class JumpMarkovModel:
         return len(self.models)
 
     @property
+    def circular(self) -> tuple[int, ...]:
+        """Indices of the states that are angles, as the dynamics of any mode declare."""
+        return tuple(sorted({a for model in self.models for a in model.circular}))
+
+    @property
     def dtype(self) -> jnp.dtype:
         """Floating type of the states."""
         return self.models[0].dtype
@@ -117,7 +122,7 @@ class JumpMarkovModel:
         """
         return StateSpaceModel(
             SwitchingLaw(self.initial_mode, tuple(model.initial for model in self.models)),
-            SwitchingDynamics(self.transition, tuple(model.dynamics for model in self.models)),
+            SwitchingDynamics(self.transition, tuple(model.dynamics for model in self.models), self.circular),
             SwitchingSensor(tuple(model.sensor for model in self.models)),
             (*self.names, MODE),
         )

@@ -46,6 +46,7 @@ class MixedLinearModel:
         angles: components of y that are angles in radians.
         linear: places of x_k in the user's order of states; x_p fills the rest in order. The last k by default.
         names: names of all states in the user's order.
+        circular: places of the states that are angles in radians, in the user's order.
     """
 
     initial_p: Law
@@ -58,6 +59,7 @@ class MixedLinearModel:
     angles: tuple[int, ...] = static(default=())
     linear: tuple[int, ...] = static(default=())
     names: tuple[str, ...] = static(default=())
+    circular: tuple[int, ...] = static(default=())
 
     def __post_init__(self) -> None:
         """Fill in the order and the names.
@@ -77,6 +79,9 @@ class MixedLinearModel:
         names = tuple(self.names) or tuple(f"x{i}" for i in range(size))
         if len(names) != size:
             checks.refuse("MixedLinearModel names", f"{size} names", list(names))
+        if any(not -size <= a < size for a in self.circular):
+            checks.refuse("MixedLinearModel circular", f"indices of the {size} states", list(self.circular))
+        object.__setattr__(self, "circular", tuple(sorted({a % size for a in self.circular})))
         object.__setattr__(self, "names", names)
 
     @property
@@ -129,7 +134,7 @@ class MixedLinearModel:
 
         return StateSpaceModel(
             initial,
-            AdditiveGaussian(dynamics_mean, dynamics_cov),
+            AdditiveGaussian(dynamics_mean, dynamics_cov, self.circular),
             AdditiveGaussian(sensor_mean, lambda x, u, t: self.sensor(parts_of(x)[0], u, t)[2], self.angles),
             self.names,
         )

@@ -34,6 +34,16 @@ class SplitModel:
     per_particle: bool = static()
     drives: bool = static()
 
+    @property
+    def circular(self) -> tuple[int, ...]:
+        """Indices of the states that are angles, in the user's order."""
+        return self.mixed.circular
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """Places in (x_p, x_k) of the states that are angles."""
+        return tuple(self.mixed.order[a] for a in self.circular)
+
     def whole(self, X_p: jax.Array) -> jax.Array:
         """Full states `(x, n)` with zeros for the Kalman part, for a sensor that does not see it."""
         zeros = jnp.zeros((len(self.mixed.linear), X_p.shape[-1]), X_p.dtype)
@@ -141,6 +151,7 @@ def _mixed(model: StateSpaceModel, linear: tuple[int, ...]) -> MixedLinearModel:
         angles=sensor.angles,
         linear=linear,
         names=model.names,
+        circular=model.circular,
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from motes.core import checks, linalg
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, MatrixLike
+from motes.laws.circular import near
 from motes.laws.conditional import AdditiveGaussian, Conditional, check_matrix, matrix
 from motes.laws.law import Law, as_law, drawn
 
@@ -55,6 +56,9 @@ class StateSpaceModel:
             if not isinstance(value, Conditional):
                 checks.refuse(f"StateSpaceModel {name}", "LinearGaussian, AdditiveGaussian, AdditiveNoise or Custom", type(value).__name__)
         size = drawn(initial).shape[0]
+        if any(not -size <= a < size for a in dynamics.angles):
+            checks.refuse("StateSpaceModel dynamics angles", f"indices of the {size} states", list(dynamics.angles))
+        initial = initial.gathered(tuple(a % size for a in dynamics.angles))
         names = tuple(names) or tuple(f"x{i}" for i in range(size))
         if len(names) != size or len(set(names)) != size:
             checks.refuse("StateSpaceModel names", f"{size} different names, one per state", list(names))
@@ -73,6 +77,15 @@ class StateSpaceModel:
     def dtype(self) -> jnp.dtype:
         """Floating type of the states."""
         return drawn(self.initial).dtype
+
+    @property
+    def circular(self) -> tuple[int, ...]:
+        """Indices of the states that are angles, as the dynamics declare."""
+        return tuple(sorted({int(a) % self.size for a in self.dynamics.angles}))
+
+    def initial_log_prob(self, X: jax.Array) -> jax.Array:
+        """Log density of x_0 at `(x,)` or `(x, n)`; states that are angles may be given on any branch."""
+        return self.initial.log_prob(near(X, self.initial.mean(), self.circular) if self.circular else X)
 
     def index(self, state: str | int) -> int:
         """Return the index of a state given by name or index.
@@ -97,6 +110,11 @@ class StateSpaceModel:
                 function = getattr(part, "f")  # noqa: B009
                 found = jax.eval_shape(lambda x, u, t, f=function: jnp.asarray(f(x, u, t)), x, inputs_of_step, t).shape
                 checks.shape(f"{name} f(x, u, t)", jnp.zeros(found), (expected,))
+
+
+def circular(model: Any) -> tuple[int, ...]:
+    """Return the indices of the states that are angles, of a model in any form that declares them; none of another."""
+    return getattr(model, "circular", ())
 
 
 def index_of(state: str | int, names: tuple[str, ...]) -> int:

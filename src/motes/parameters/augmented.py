@@ -41,4 +41,5 @@ def augmented(given: Parametric, thetas: jax.Array, key: jax.Array, deviations: 
                       "Use PMMH, particle Gibbs or smc_squared.")
     keys = random.step_keys(key, n)
     X = jax.vmap(lambda key, theta: of(theta).initial.sample(key, 1)[:, 0], in_axes=(0, -1), out_axes=-1)(keys, thetas)
-    return StateSpaceModel(Cloud.equal(jnp.concatenate([thetas, X])), Custom(moved), Custom(log_prob=judged))
+    angles = tuple(size + a for a in of(thetas[:, 0]).circular)
+    return StateSpaceModel(Cloud.equal(jnp.concatenate([thetas, X])), Custom(moved, angles=angles), Custom(log_prob=judged))

@@ -80,7 +80,7 @@ def _filtered(key: jax.Array, given: Parametric, n: int, a: Any) -> tuple[Cloud,
     def weighed(cloud: Cloud, t: Any) -> tuple[Cloud, tuple[jax.Array, ...]]:
         likelihood = given.log_likelihood(model, cloud.particles, at_step(given.inputs, t), t)
         log_weights, info = weigh(cloud.log_weights, likelihood, jnp.full((), jnp.inf, likelihood.dtype))
-        cloud = replace(cloud, log_weights=log_weights)
+        cloud = replace(cloud, log_weights=log_weights).gathered(model.circular)
         return cloud, (cloud.mean(), cloud.cov(), info.log_evidence, info.ess)
 
     def ahead(cloud: Cloud, t: jax.Array) -> tuple[Cloud, tuple[jax.Array, ...]]:

@@ -39,7 +39,7 @@ class PathPosterior(Parametric):
             return self.log_likelihood(model, path[t][:, None], at_step(inputs, t), t)[0]
 
         steps = jnp.arange(path.shape[0], dtype=jnp.int32)
-        total = model.initial.log_prob(path[0]) + jnp.sum(jax.vmap(moved)(steps[1:])) + jnp.sum(jax.vmap(measured)(steps))
+        total = model.initial_log_prob(path[0]) + jnp.sum(jax.vmap(moved)(steps[1:])) + jnp.sum(jax.vmap(measured)(steps))
         prior = self.prior.log_prob(theta)
         return jnp.where(jnp.isfinite(prior), prior + total, -jnp.inf)
 

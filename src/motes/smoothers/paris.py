@@ -55,6 +55,10 @@ class AdditiveCloud(Law):
         """Covariance of the state, `(x, x)`."""
         return self.cloud.cov()
 
+    def gathered(self, angles: tuple[int, ...]) -> "AdditiveCloud":
+        """Return the law with particles on one branch of the states that are angles; the sums are the user's."""
+        return AdditiveCloud(self.cloud.gathered(angles), self.sums)
+
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n states, `(x, n)`."""
         return self.cloud.sample(key, n)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, logspace, pairs, random
 from motes.core.record import record, replace, static
 from motes.filters.history import History
+from motes.laws.circular import wrap
 from motes.laws.cloud import draw, pick
 from motes.laws.gaussian import Gaussian, log_normal
 from motes.laws.marginal_cloud import MarginalCloud
@@ -84,14 +85,14 @@ class RaoBlackwellizedSmoother(Smoother):
 
         def parent(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
             state, point = pair
-            logits = cloud.log_weights + log_normal(state[:, None] - expected.center, expected.covariance)
+            logits = cloud.log_weights + log_normal(wrap(state[:, None] - expected.center, model.places), expected.covariance)
             return pick(jnp.exp(logspace.normalize(logits)[0]), point)
 
         parents = pairs.against_all(parent, (after.T, points), cloud.log_weights.shape[0])
         chosen = cloud.picked(parents)
         f, A, Q, prediction = (leaf[..., parents] if batched else leaf for leaf, batched in (
             (f, True), (A, A.ndim == 3), (Q, Q.ndim == 3), (expected.center, True)))  # fmt: skip
-        informed = chosen.kalman.corrected(after - prediction, A, Q).law
+        informed = chosen.kalman.corrected(wrap(after - prediction, model.places), A, Q).law
         return replace(chosen, kalman=_each(informed, self.n))
 
 

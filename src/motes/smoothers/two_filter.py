@@ -84,7 +84,7 @@ class TwoFilterSmoother(Smoother):
             return _summed(lambda one: Move(model.dynamics, step.u, step.t).log_prob(one, cloud.particles), cloud.log_weights, z)
 
         predicted = jax.lax.map(arriving, (jax.tree.map(lambda leaf: leaf[:-1], clouds), after))
-        predicted = jnp.concatenate([model.initial.log_prob(points[0])[None], predicted])
+        predicted = jnp.concatenate([model.initial_log_prob(points[0])[None], predicted])
         weights = jnp.concatenate([earlier, last[None]]) + predicted - log_g
         return Smoothed(*jax.vmap(lambda w, z: weighted_moments(logspace.normalize(w)[0], z))(weights, points))
 

@@ -16,7 +16,7 @@ from motes.filters.run import Engine
 from motes.models.canonical import one_of
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.simulate import measurements, simulate
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, circular
 
 LONGEST_NAME = 60
 Blocks = tuple[tuple[str, tuple[str, ...]], ...]
@@ -88,7 +88,7 @@ class Experiment:
     @property
     def angles(self) -> tuple[int, ...]:
         """Places of the states that are angles, whose errors are wrapped."""
-        return getattr(getattr(self.model, "dynamics", None), "angles", ())
+        return circular(self.model)
 
     def keys(self, run: Any) -> tuple[jax.Array, jax.Array]:
         """Return the keys of a run: `simulate(keys[0], model, steps)` gives its truth, `run(keys[1], ...)` a filter's estimates."""

@@ -10,7 +10,7 @@ from motes.core import checks
 from motes.core.record import record, static
 from motes.io import archive
 from motes.io.result_table import Table
-from motes.laws.conditional import wrap
+from motes.laws.circular import wrap
 from motes.studies.experiment import Blocks, Experiment, places
 from motes.studies.store import Memory, Store
 from motes.studies.tables import study_table

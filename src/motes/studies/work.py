@@ -23,7 +23,7 @@ from motes.core.record import replace
 from motes.diagnostics.consistency import normalized_errors
 from motes.filters.interface import Info
 from motes.filters.run import run
-from motes.laws.conditional import wrap
+from motes.laws.circular import wrap
 from motes.studies.experiment import Experiment, places
 
 TRUTH = ""
