@@ -4,34 +4,45 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 BENCH := .venv-bench
-# compiles three times as fast; what asks for the full compiler is marked "optimized"
-QUICK := --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0
+NEWEST := .venv-newest
+EXTRAS := all,dev
 
-.PHONY: setup demo test test-native lint bench clean
+.PHONY: setup demo test test-native test-newest lint bench clean
 
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml
 	@if command -v uv >/dev/null 2>&1; then \
 		test -d $(VENV) || uv venv -q --python $(PYTHON) $(VENV); \
-		uv pip install -q --python $(BIN)/python -e '.[all,dev]'; \
+		uv pip install -q --python $(BIN)/python -e '.[$(EXTRAS)]'; \
 	else \
 		test -x $(BIN)/python || $(PYTHON) -m venv $(VENV); \
-		$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[all,dev]'; \
+		$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[$(EXTRAS)]'; \
 	fi
 	@touch $(STAMP)
 
 demo: $(STAMP)
 	@$(BIN)/motes demo
 
+# quick.py: compiles three times as fast; what asks for the full compiler is marked "optimized"
 test: $(STAMP)
-	@XLA_FLAGS="$(QUICK)" $(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized"
+	@XLA_FLAGS="$$($(BIN)/python tests/quick.py)" $(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized"
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup -m optimized
 
 # the tests that run filters, once more with the native engine; CI asks for the contract alone
 NATIVE := tests/contract tests/filters tests/oracles tests/applications tests/laws tests/resampling
 test-native: $(STAMP)
 	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup $(NATIVE)
+
+# the contract and the native engine once more, on the newest Python that is here and the newest JAX for it
+test-newest:
+	@newest=$$($(PYTHON) tests/newest.py) && if [ -z "$$newest" ]; then \
+		echo "test-newest: no Python 3.12 or newer on this machine, nothing tested"; \
+	else \
+		$(MAKE) --no-print-directory setup VENV=$(NEWEST) PYTHON="$$newest" EXTRAS=test && \
+		export XLA_FLAGS="$$($(NEWEST)/bin/python tests/quick.py)" && \
+		$(NEWEST)/bin/python -m pytest -n 2 --dist loadgroup -m "not optimized" tests/contract tests/native; \
+	fi
 
 lint: $(STAMP)
 	@$(BIN)/ruff check .
@@ -46,4 +57,4 @@ $(BENCH)/.installed: pyproject.toml benchmarks/environment.py
 	@touch $(BENCH)/.installed
 
 clean:
-	rm -rf $(VENV) $(BENCH) out build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(NEWEST) $(BENCH) out build dist .pytest_cache .ruff_cache .hypothesis

@@ -41,7 +41,7 @@ def report() -> Iterator[tuple[str, str]]:
         found = private.private_folder(kind)
         yield f"{kind} code", str(found) if found else f"not kept: {private.place(kind)} cannot be used"
     yield "engine", chosen()
-    yield "native engine", blocks.standing() or f"ready, compiled by {compile.compiler()}"
+    yield "native engine", blocks.standing() or f"ready, compiled by {' '.join(compile.compiler())}"
     for package, extra in sorted(packages().items()):
         yield package, _version(package) or f"not installed (pip install 'motes[{extra}]')"
 
@@ -62,7 +62,7 @@ def packages() -> dict[str, str]:
         name = re.match(r"[A-Za-z0-9._-]+", line)
         extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)", line)
         group = extra[1] if extra else ""
-        if name and name[0] != "motes" and group not in ("all", "dev"):
+        if name and name[0] != "motes" and group not in ("all", "test", "dev"):
             found.setdefault(name[0], group)
     return found
 

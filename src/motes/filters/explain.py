@@ -30,10 +30,9 @@ class Explanation:
 
     def __str__(self) -> str:
         """Print as a table."""
-        stages = self.stages or (("all", f"{report.JAX}: the filter has no stage with native kernels"),)
         hint = "" if self.engine == "native" else '   (choose with `with mo.engine("native"):` or MOTES_ENGINE=native)'
         lines = [f"engine in force   {self.engine}{hint}", "on the native engine:"]
-        return "\n".join([*lines, *(f"  {name:<16}{text}" for name, text in stages)])
+        return "\n".join([*lines, *(f"  {name:<16}{text}" for name, text in self.stages)])
 
 
 def explain(filter: Filter, model: Any, inputs: Inputs = None, y: Any = None) -> Explanation:
@@ -55,6 +54,7 @@ def explain(filter: Filter, model: Any, inputs: Inputs = None, y: Any = None) ->
         parts = Engine(key, filter, model)
         return parts.step(parts.begin(y, u)[0], y, u)
 
-    with engines.using("native"), report.collected() as notes:
+    with engines.using("native"), report.collected(quiet=True) as notes:
         jax.eval_shape(once, jax.random.key(0), filter, model, given, inputs)
+        report.complete(notes, type(filter).__name__)
     return Explanation(engines.chosen(), tuple(sorted(notes.items())))

@@ -127,6 +127,7 @@ def guided(
     key: jax.Array, proposal: Proposal, model: StateSpaceModel, parents: Cloud, y: jax.Array, u: Any, t: Any
 ) -> tuple[Cloud, Info]:
     """Move particles by a proposal that knows the measurement, and weigh them."""
+    cloudwise.left_to_jax("move", parents, "particles are moved by a proposal")
     moved, log_weight, ceiling = proposal.proposed(key, model, parents.particles, y, u, t)
     weights, info = weigh(parents.log_weights, log_weight, ceiling)
     return replace(parents, particles=moved, log_weights=weights), info

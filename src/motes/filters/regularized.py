@@ -21,6 +21,7 @@ from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.models.state_space import StateSpaceModel
+from motes.native import cloudwise
 from motes.resampling.kernels import Regularization
 from motes.resampling.policy import ESS, Policy, resample
 from motes.resampling.schemes import Scheme, Systematic
@@ -110,6 +111,7 @@ class RegularizedParticleFilter(TwoStageFilter):
         smooth = self.regularization.fitted(state.log_weights, state.particles, needed)
         parents = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
         noise_key = random.child(predict_key, random.NOISE)
+        cloudwise.left_to_jax("move", parents, "a Metropolis step takes particles back")
         blind = replace(parents, particles=model.dynamics.sample(noise_key, parents.particles, u, t)).gathered(model.circular)
         after, info = self.correct(key, model, blind, y, u, t)
 

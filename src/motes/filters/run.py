@@ -89,7 +89,9 @@ def run_in_chunks(
 @partial(jax.jit, static_argnames=("keep",))
 def _run(key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
     with report.collected() as notes:
-        return replace(_scanned(Engine(random.as_key(key), filter, model), ys, inputs, keep, first), engine=report.summary(notes))
+        history = _scanned(Engine(random.as_key(key), filter, model), ys, inputs, keep, first)
+        report.complete(notes, type(filter).__name__)
+    return replace(history, engine=report.summary(notes))
 
 
 def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:

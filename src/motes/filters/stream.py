@@ -15,6 +15,7 @@ from motes.filters.interface import Filter, Info
 from motes.filters.run import Engine, canonical_parts, checked_measurements
 from motes.io import archive
 from motes.models.canonical import shape_of
+from motes.native import report
 
 
 def _engine(form: Any, parts: list[Any]) -> Engine:
@@ -24,22 +25,29 @@ def _engine(form: Any, parts: list[Any]) -> Engine:
 
 @partial(jax.jit, static_argnums=0)
 def _begin(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Carry:
-    return _engine(form, parts).initial(u, y)
+    with report.collected():
+        return _engine(form, parts).initial(u, y)
 
 
 @partial(jax.jit, static_argnums=0)
 def _move(form: Any, parts: list[Any], carry: Carry, u: Inputs) -> Carry:
-    return _engine(form, parts).move(carry, u)
+    with report.collected():
+        return _engine(form, parts).move(carry, u)
 
 
 @partial(jax.jit, static_argnums=0)
 def _take_in(form: Any, parts: list[Any], carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
-    return _engine(form, parts).take_in(carry, y)
+    with report.collected() as notes:
+        engine = _engine(form, parts)
+        taken = engine.take_in(carry, y)
+        report.complete(notes, type(engine.filter).__name__)
+    return taken
 
 
 @partial(jax.jit, static_argnums=0)
 def _step(form: Any, parts: list[Any], carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
-    return _engine(form, parts).step(carry, y, u)
+    with report.collected():
+        return _engine(form, parts).step(carry, y, u)
 
 
 @partial(jax.jit, static_argnames=("what",))

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from motes.core import engine, logspace, random
 from motes.core.record import replace
 from motes.laws import cloud
+from motes.native import report
 from motes.native.compile import HEADERS, CompileError, kernel
 from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
 from motes.resampling.schemes import Scheme, Systematic
@@ -40,7 +41,11 @@ def _name(symbol: str) -> str:
 
 def usable(*arrays: jax.Array) -> bool:
     """Tell whether the native engine is chosen, stands, and takes such arrays."""
-    return engine.chosen() == "native" and all(array.dtype == jnp.float32 for array in arrays) and not standing()
+    if engine.chosen() != "native" or any(array.dtype != jnp.float32 for array in arrays):
+        return False
+    if standing():
+        report.note_absence(standing())
+    return not standing()
 
 
 def _call(symbol: str, results: Any, *operands: jax.Array) -> Any:

@@ -114,6 +114,12 @@ def reweigh(cloud: Any, judge: Callable[[Any], tuple[Any, jax.Array, jax.Array]]
     return replace(parts.together(cloud, [*lanes, *stage.rest]), log_weights=weights), found
 
 
+def left_to_jax(stage: str, cloud: Any, why: str) -> None:
+    """Note why a stage of a cloud is left to JAX, between native kernels for random numbers, resampling and weights."""
+    if _parts(stage, cloud) is not None:
+        report.note(stage, report.KERNELS, why)
+
+
 def _parts(stage: str, cloud: Any) -> Parts | None:
     """Take a cloud apart, where the native engine is to be used on it."""
     if engine.chosen() != "native":

@@ -5,12 +5,14 @@ import functools
 import hashlib
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import tempfile
 from pathlib import Path
 
 import jax
+import jaxlib
 
 from motes.io.private import private_folder
 
@@ -29,22 +31,22 @@ class CompileError(Exception):
 
 
 @functools.cache
-def compiler() -> str | None:
-    """Return the C++ compiler: that of the environment variable CXX, else g++ or clang++ on the path; None when there is none."""
+def compiler() -> tuple[str, ...]:
+    """Return the words that call the C++ compiler: those of the environment variable CXX, else g++ or clang++ on the path; else none."""
     for name in (os.environ.get("CXX"), "g++", "clang++"):
-        found = shutil.which(name) if name else None
+        words = shlex.split(name) if name else []
+        found = shutil.which(words[0]) if words else None
         if found:
-            return found
-    return None
+            return (found, *words[1:])
+    return ()
 
 
 @functools.cache
 def _surroundings() -> bytes:
     """What decides the machine code besides the source: compiler, processor, headers."""
-    version = subprocess.run([_required(), "--version"], capture_output=True, timeout=SECONDS, check=False).stdout
-    parts = [version, " ".join((*FLAGS, *_wide())).encode(), platform.machine().encode(), processor(), jax.__version__.encode()]
-    parts += [path.read_bytes() for path in sorted(HEADERS.glob("*.hpp"))]
-    return b"\0".join(parts)
+    version = subprocess.run([*_required(), "--version"], capture_output=True, timeout=SECONDS, check=False).stdout
+    texts = [*_required(), *FLAGS, *_wide(), platform.machine(), jax.__version__, jaxlib.__version__]
+    return b"\0".join([version, processor(), *map(str.encode, texts), *(path.read_bytes() for path in sorted(HEADERS.glob("*.hpp")))])
 
 
 def processor() -> bytes:
@@ -61,9 +63,9 @@ def _wide() -> tuple[str, ...]:
     return ("-mprefer-vector-width=512",) if b"avx512f" in processor() else ()
 
 
-def _required() -> str:
+def _required() -> tuple[str, ...]:
     found = compiler()
-    if found is None:
+    if not found:
         raise CompileError("no C++ compiler: g++ or clang++ on the path, or CXX")
     return found
 
@@ -92,7 +94,7 @@ def _built(source: str, kept: Path | None) -> ctypes.CDLL:
     with tempfile.TemporaryDirectory(dir=kept.parent if kept else None) as name:
         text, made = Path(name) / "kernel.cpp", Path(name) / "kernel.so"
         text.write_text(source)
-        words = [_required(), *FLAGS, *_wide(), f"-I{HEADERS}", f"-I{jax.ffi.include_dir()}", "-o", str(made), str(text)]
+        words = [*_required(), *FLAGS, *_wide(), f"-I{HEADERS}", f"-I{jax.ffi.include_dir()}", "-o", str(made), str(text)]
         try:
             done = subprocess.run(words, capture_output=True, text=True, timeout=SECONDS, check=False)
         except (OSError, subprocess.TimeoutExpired) as reason:

@@ -1,30 +1,58 @@
-"""What runs where: notes that the native engine leaves while a filter is traced."""
+"""What runs where: notes that the native engine leaves while a filter is traced, and warnings where it was asked for and does not run."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
+from motes.core import checks, engine
+
 _notes: ContextVar[dict[str, str] | None] = ContextVar("notes", default=None)
+_quiet: ContextVar[bool] = ContextVar("quiet", default=False)
+_told: set[str] = set()
 
 FUSED, KERNELS, JAX = "native, fused", "native kernels around JAX", "JAX"
+_WAYS = (FUSED, KERNELS, JAX)
+ALL = "all"
+"""Stands for the stages of what has none of its own on the native engine."""
 
 
-def note(stage: str, way: str, why: str = "") -> None:
-    """Leave a note on how a stage runs and why."""
+def note(stage: str, way: str, why: str) -> None:
+    """Leave a note on how a stage runs and why, and warn, once in a process for each, where that is not as it was asked for.
+
+    Of several notes on one stage the one that says the least for the native engine stays.
+    """
     kept = _notes.get()
-    if kept is not None:
-        kept[stage] = f"{way}: {why}" if why else way
+    if kept is not None and _WAYS.index(way) >= _WAYS.index(kept.get(stage, FUSED).partition(":")[0]):
+        kept[stage] = f"{way}: {why}"
+    what = "everything" if stage == ALL else f"stage {stage!r}"
+    text = f"the native engine was asked for, but {what} runs {'on JAX' if way == JAX else f'as {way}'}: {why}."
+    if way != FUSED and not _quiet.get() and text not in _told:
+        _told.add(text)
+        checks.warn(text)
+
+
+def note_absence(why: str) -> None:
+    """Say that the native engine cannot be used at all; inside of filters their stages do so."""
+    if _notes.get() is None:
+        note(ALL, JAX, why)
 
 
 @contextmanager
-def collected() -> Iterator[dict[str, str]]:
-    """Collect the notes of what is traced inside a `with` block, by stage."""
+def collected(quiet: bool = False) -> Iterator[dict[str, str]]:
+    """Collect the notes of what is traced inside a `with` block, by stage; without warnings if quiet."""
     notes: dict[str, str] = {}
-    token = _notes.set(notes)
+    tokens = _notes.set(notes), _quiet.set(quiet)
     try:
         yield notes
     finally:
-        _notes.reset(token)
+        _notes.reset(tokens[0])
+        _quiet.reset(tokens[1])
+
+
+def complete(notes: dict[str, str], name: str) -> None:
+    """Note that nothing has a native form where the whole step of the named filter left no note; for use where notes are collected."""
+    if not notes and engine.chosen() == "native":
+        note(ALL, JAX, f"{name} has no stage with native kernels")
 
 
 def summary(notes: dict[str, str]) -> str:

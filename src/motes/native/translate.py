@@ -195,7 +195,7 @@ class Translator:
             raise Untranslatable("a matrix product of whole numbers")
         text = f"{x[0].text} * {y[0].text}"
         for one, other in zip(x[1:], y[1:], strict=True):
-            text = f"fma({one.text}, {other.text}, {text})"
+            text = f"motes::fma({one.text}, {other.text}, {text})"
         return self._named("float", text)
 
     def _branches(self, eqn: Any, operands: list[Any]) -> list[np.ndarray]:

@@ -52,7 +52,7 @@ static void block_moments(const float* const* rows, int x, const float* __restri
   float total = 0;
 #pragma omp simd reduction(+ : total)
   for (int i = 0; i < m; i++) {
-    float w = exp(log_weights[i]);
+    float w = motes::exp(log_weights[i]);
     weights[i] = w, total += w;
   }
   moments[0] = total;

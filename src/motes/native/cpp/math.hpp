@@ -1,7 +1,8 @@
 // Elementary functions without branches, so that loops over particles vectorize with any compiler; within 2 units in the last place
 // of float32 (tan, sinh, cosh, asin, acos: 4). Polynomials are minimax fits made for these intervals.
 #pragma once
-#include <cmath>
+#include <math.h>  // not only <cmath>: the library's functions are global names too, as they are everywhere with some standard libraries,
+#include <cmath>   // so that every compiler refuses a call of one of the functions below, outside of this namespace, that is not qualified
 #include <cstdint>
 
 #if defined(__FMA__) || defined(__ARM_FEATURE_FMA) || defined(__aarch64__)

@@ -83,7 +83,7 @@ class Scratch {
 // Work shared out over XLA's own threads: the calling thread takes part, so that it never waits for a thread that has not begun.
 class Team {
   const XLA_FFI_Api* api;
-  XLA_FFI_ExecutionContext* context;
+  decltype(XLA_FFI_CallFrame::ctx) context;
   int64_t threads = 1;
 
   template <class Work>
@@ -154,7 +154,7 @@ class Team {
 
 // Says which version of the interface the kernel speaks, when XLA asks at registration.
 static inline bool asked_for_metadata(XLA_FFI_CallFrame* call) {
-  XLA_FFI_Extension_Base* extension = call->extension_start;
+  auto* extension = call->extension_start;  // its type has other names in other versions of the interface
   if (!extension || extension->type != XLA_FFI_Extension_Metadata) return false;
   auto* metadata = ((XLA_FFI_Metadata_Extension*)extension)->metadata;
   metadata->api_version.major_version = XLA_FFI_API_MAJOR;

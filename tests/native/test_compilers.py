@@ -1,0 +1,85 @@
+"""The engine's C++ is taken by every compiler and standard library that is here, and computes the same."""
+
+import subprocess
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from native_tools import by_jax, natively, needs_compiler
+
+from motes.native import compile
+
+COMPILERS = ("g++", "clang++", "clang++ -stdlib=libc++")
+X = np.random.default_rng(0).uniform(0.1, 0.9, (2, 300)).astype(np.float32)
+
+
+def everything(x):
+    """One program with a call of nearly every function that the translator knows."""
+    a, b = x[:1], x[1:]
+    simple = (jnp.exp, jnp.expm1, jnp.log, jnp.log1p, jnp.sin, jnp.cos, jnp.tan, jnp.arcsin, jnp.arccos, jnp.arctan, jnp.sinh, jnp.cosh,
+              jnp.tanh, jnp.sqrt, jnp.cbrt, jnp.arcsinh, jnp.arctanh, jnp.exp2, jnp.floor, jnp.round, jnp.abs, jnp.sign)  # fmt: skip
+    return [jnp.concatenate([sum(f(a) for f in simple), jnp.arctan2(a, b) + a**b + jnp.array([[2.0, 1.0]]) @ x + jnp.mod(a, b)])]
+
+
+@pytest.fixture
+def chosen(request, monkeypatch, tmp_path):
+    """Use one compiler, with no compiled code kept from before."""
+    command = request.param
+    monkeypatch.setenv("CXX", command)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    words = command.split()
+    try:
+        done = subprocess.run([*words, "-fsyntax-only", "-xc++", "-"], input="#include <cmath>\n", capture_output=True, text=True)
+        missing = done.stderr.splitlines()[0] if done.returncode else ""
+    except OSError as reason:
+        missing = str(reason)
+    if missing:
+        pytest.skip(f"{command}: {missing}")
+    monkeypatch.setattr(compile, "FLAGS", tuple(flag for flag in compile.FLAGS if flag != "-O3"))  # compiles faster
+    for function in (compile.compiler, compile._surroundings):
+        function.cache_clear()
+    yield command
+    for function in (compile.compiler, compile._surroundings):
+        function.cache_clear()
+
+
+each_compiler = pytest.mark.parametrize("chosen", COMPILERS, indirect=True)
+
+
+@each_compiler
+def test_kernels_of_models(chosen):
+    assert compile.compiler()[1:] == tuple(chosen.split()[1:])
+    (ours,), (wanted,) = natively(everything, X), by_jax(everything, X)
+    assert np.allclose(ours, wanted, rtol=1e-5)
+
+
+@each_compiler
+def test_kernels_without_a_model(chosen):
+    mark, loaded = compile.library((compile.HEADERS / "blocks.cpp").read_text())
+    assert all(hasattr(loaded, f"motes_{name}") for name in ("normal_block", "ancestors", "weigh", "moments"))
+
+
+CALLS = """#include "stage.hpp"
+using namespace motes;
+float of_a_model(float x) {{ return {}exp(x); }}
+"""
+
+
+@each_compiler
+def test_calls_that_are_not_qualified_are_refused(chosen):
+    """The planted twin: the same program is refused by all compilers, also by those whose library would not mind."""
+    compile.library(CALLS.format("motes::"))
+    with pytest.raises(compile.CompileError, match="ambiguous"):
+        compile.library(CALLS.format(""))
+
+
+@needs_compiler
+@pytest.mark.parametrize("words, found", [("clang++-none", False), ("g++ -DNDEBUG", True)])
+def test_the_compiler_of_the_environment(words, found, monkeypatch):
+    """What CXX says is used, words and all; where it names no program, what is on the path."""
+    monkeypatch.setenv("CXX", words)
+    compile.compiler.cache_clear()
+    try:
+        assert (compile.compiler()[1:] == ("-DNDEBUG",)) == found
+    finally:
+        compile.compiler.cache_clear()
