@@ -31,6 +31,10 @@ def squared(x):
 
 squared.defjvp(lambda primals, tangents: (primals[0] ** 2, 2 * primals[0] * tangents[0]))
 
+SMOOTH = (jnp.exp, jnp.expm1, jnp.log1p, jnp.sin, jnp.cos, jnp.tan, jnp.arcsin, jnp.arccos, jnp.arctan, jnp.sinh, jnp.cosh, jnp.tanh,
+          jnp.arcsinh, jnp.arctanh, jnp.exp2, jnp.cbrt, jax.nn.sigmoid, jax.nn.softplus, jax.scipy.special.erf)  # fmt: skip
+"""What JAX makes of their derivatives changes from version to version."""
+
 PROGRAMS = {
     "growth": each(lambda x: x / 2 + 25 * x / (1 + x**2) + 8 * jnp.cos(1.2 * 3)),
     "matrix": each(lambda x: A @ x),
@@ -52,6 +56,10 @@ PROGRAMS = {
     "custom derivative": each(lambda x: squared(x)),
     "jitted inside": each(jax.jit(lambda x: jnp.sort(A, axis=0) @ jnp.sin(x))),
     "gradient inside": each(lambda x: jax.grad(lambda z: jnp.sum(jnp.sin(z) ** 2 * z[0]))(x)),
+    "gradients of functions": each(lambda x: jax.grad(lambda z: sum(jnp.sum(function(0.3 * jnp.sin(z))) for function in SMOOTH))(x)),
+    "distances": each(lambda x: jax.grad(lambda z: jnp.hypot(z[0], z[1]) + jnp.arctan2(z[1], z[2]) + jnp.logaddexp(z[0], z[2]))(x)),
+    "error functions": each(lambda x: jax.scipy.special.erfc(x) + jax.scipy.special.ndtr(x) + jnp.log2(1 + x**2)),
+    "bits": each(lambda x: jax.lax.bitcast_convert_type(jax.lax.bitcast_convert_type(x, jnp.int32) & -4096, jnp.float32)),
     "softplus": each(lambda x: jax.nn.softplus(x) + jax.nn.relu(x) + jax.nn.sigmoid(x)),
     "nan": each(lambda x: jnp.where(x > 0, jnp.log(x), jnp.nan)),
     "whole cloud": lambda X: [jnp.roll(X, 1, axis=0) * jnp.float32(2) + jnp.zeros((3, 1))],

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 
@@ -52,8 +53,8 @@ FUNCTIONS = {
         "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "logistic", "sqrt",
         "rsqrt", "erf_inv")},
     # these keep a loop from being vectorized, but are right
-    "cbrt": "std::cbrt", "erf": "std::erf", "erfc": "std::erfc", "exp2": "std::exp2", "lgamma": "std::lgamma", "pow": "std::pow",
-    "asinh": "std::asinh", "acosh": "std::acosh", "atanh": "std::atanh",
+    "cbrt": "std::cbrt", "erf": "std::erf", "erfc": "std::erfc", "exp2": "std::exp2", "log2": "std::log2", "lgamma": "std::lgamma",
+    "pow": "std::pow", "asinh": "std::asinh", "acosh": "std::acosh", "atanh": "std::atanh",
 }  # fmt: skip
 """Functions of float32 alone; those of the namespace motes are in `cpp/math.hpp`."""
 
@@ -67,8 +68,9 @@ FORMULAS = {
 FLOAT_FORMULAS = {
     "div": "{0} / {1}", "abs": "__builtin_fabsf({0})", "floor": "__builtin_floorf({0})", "ceil": "__builtin_ceilf({0})",
     "sign": "{0} != {0} ? {0} : (float)(({0} > 0.f) - ({0} < 0.f))", "is_finite": "__builtin_fabsf({0}) < INF",
-    "rem": "motes::remainder({0}, {1})",
+    "one_minus_square": "(1.f + {0}) * (1.f - {0})", "rem": "motes::remainder({0}, {1})",
 }  # fmt: skip
+_OURS_ALONE = {"logistic", "rsqrt", "erf_inv"}  # not in the standard library
 _TESTS = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite"}
 ROUNDINGS = {0: "__builtin_roundf({0})", 1: "motes::round_even({0})"}
 
@@ -85,20 +87,29 @@ def formula(name: str, kinds: list[str], params: dict[str, Any]) -> tuple[str, s
         return "{0} < 0 ? -{0} : {0}", first
     if name == "sign" and first == "int32_t":
         return "({0} > 0) - ({0} < 0)", first
-    if name == "convert_element_type":
-        return _conversion(first, kind_of(params["new_dtype"]))
+    if name in ("convert_element_type", "bitcast_convert_type"):
+        return (_conversion if name == "convert_element_type" else _same_bits)(first, kind_of(params["new_dtype"]))
     if name == "select_n":
         last = f"{{{len(kinds) - 1}}}"
         return "".join(f"{{0}} <= {i} ? {{{i + 1}}} : " for i in range(len(kinds) - 2)) + last, kinds[1]
     if name == "integer_pow" and first == "float":
         return _whole_power(params["y"]), first
+    if name == "polynomial" and first == "float":
+        return _horner(len(kinds) - 1), first
     if name == "round" and first == "float":
         return ROUNDINGS[int(params["rounding_method"])], first
     if first == "float" and name in FLOAT_FORMULAS:
         return FLOAT_FORMULAS[name], result
-    if name in FUNCTIONS and all(kind == "float" for kind in kinds) and params.get("accuracy") is None:
-        return f"{FUNCTIONS[name]}({', '.join(f'{{{i}}}' for i in range(len(kinds)))})", first
-    return None
+    function = _function(name, params.get("accuracy")) if all(kind == "float" for kind in kinds) else None
+    return (f"{function}({', '.join(f'{{{i}}}' for i in range(len(kinds)))})", first) if function else None
+
+
+def _function(name: str, accuracy: Any) -> str | None:
+    """Return the C++ function of an operation, for the accuracy that was asked for, or None."""
+    if accuracy is None:
+        return FUNCTIONS.get(name)
+    highest = accuracy is jax.lax.AccuracyMode.HIGHEST and name in FUNCTIONS and name not in _OURS_ALONE
+    return f"std::{name}" if highest else None
 
 
 def _conversion(before: str, after: str) -> tuple[str, str]:
@@ -107,6 +118,20 @@ def _conversion(before: str, after: str) -> tuple[str, str]:
     if before == "float" and after == "uint32_t":
         raise Untranslatable("a float32 made an unsigned whole number")
     return ("{0} != 0" if after == "bool" else f"({after}){{0}}"), after
+
+
+def _same_bits(before: str, after: str) -> tuple[str, str]:
+    if "bool" in (before, after):
+        raise Untranslatable("the bits of a truth value")
+    return f"motes::bits<{after}>({{0}})", after
+
+
+def _horner(count: int) -> str:
+    """Write a polynomial in the first operand, whose coefficients follow from the lowest power up."""
+    text = f"{{{count}}}"
+    for i in range(count - 1, 0, -1):
+        text = f"motes::fma({text}, {{0}}, {{{i}}})"
+    return text
 
 
 def _whole_power(power: int) -> str:
