@@ -15,7 +15,7 @@ from motes.filters.needs import as_state_space
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, at_step, check_inputs
+from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
 
 KIND = "Kalman filter at the true track"
 
@@ -45,7 +45,7 @@ def kalman_at_truth(model: Any, xs: jax.Array, inputs: Inputs = None) -> Bound:
         checks.refuse("kalman_at_truth model", "independent process and measurement noise", "noise_cross_cov")
     xs = checks.as_float("kalman_at_truth xs", xs).astype(given.dtype)
     checks.shape("kalman_at_truth xs", xs, (None, given.size), "(steps, states)")
-    check_inputs(inputs, xs.shape[0], "xs")
+    inputs = checked_inputs(inputs, xs.shape[0], "xs")
     return Bound(_covariances(canonical(model, jax.tree.map(one_of, inputs)), xs, inputs), given.names, KIND)
 
 

@@ -28,7 +28,7 @@ from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, at_step, check_inputs
+from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
 from motes.models.structure import trace
 
 KIND = "posterior Cramer-Rao bound"
@@ -64,7 +64,7 @@ def posterior_cramer_rao(key: KeyLike, model: Any, steps: int, trajectories: int
     """
     checks.positive_integer("posterior_cramer_rao steps", steps)
     checks.positive_integer("posterior_cramer_rao trajectories", trajectories)
-    check_inputs(inputs, steps, "steps")
+    inputs = checked_inputs(inputs, steps, "steps")
     names = _check_model(model)
     covs, faults = _recursion(random.as_key(key), canonical(model, jax.tree.map(one_of, inputs)), steps, trajectories, inputs)
     if checks.is_concrete(faults) and np.any(faults):

@@ -3,6 +3,8 @@
 import importlib
 import sys
 import warnings
+from decimal import Decimal
+from numbers import Real
 from types import ModuleType
 from typing import Any, NoReturn, TypeVar
 
@@ -73,17 +75,86 @@ def is_concrete(value: Any) -> bool:
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
 
 
-def as_float(argument: str, value: Any) -> jax.Array:
-    """Return an array of floats, or refuse."""
+def as_numbers(argument: str, value: Any, expected: str = "an array of numbers") -> Any:
+    """Return what the user gives as an array of real numbers in which NaN stands for what is missing; the one place that decides that.
+
+    Missing are: masked entries of NumPy's masked arrays, NA and NaT of pandas, None, NaN. Arrays of JAX come back as they are.
+
+    Args:
+        argument: name to use in the message.
+        value: an array, or whatever NumPy makes one of: lists, tables of pandas, xarray, pyarrow.
+        expected: what it should be, for the message.
+
+    Raises:
+        MotesError: it holds something that is no real number.
+    """
+    if isinstance(value, jax.Array):
+        return value
+    if isinstance(value, (list, tuple)):
+        if not is_concrete(value):
+            return jnp.asarray(value)
+        # NumPy would drop the masks of masked arrays in a list
+        value = [item if isinstance(item, (int, float)) else _unmasked(item) for item in value]
     try:
-        array = jnp.asarray(value)
+        array = np.asarray(_unmasked(value))
     except (TypeError, ValueError):
-        refuse(argument, "an array of numbers", type(value).__name__)
+        refuse(argument, expected, type(value).__name__)
+    if array.dtype == object:
+        array = np.array([_number(argument, item, place, expected) for place, item in np.ndenumerate(array)]).reshape(array.shape)
+    known = np.issubdtype(array.dtype, np.number) or array.dtype == bool or jnp.issubdtype(array.dtype, jnp.floating)
+    if not known or np.issubdtype(array.dtype, np.complexfloating) or np.issubdtype(array.dtype, np.timedelta64):
+        refuse(argument, expected, f"dtype {array.dtype}")
+    return array
+
+
+def _unmasked(value: Any) -> Any:
+    """Return the same with None in place of masked entries, as objects, wherever a mask is."""
+    if isinstance(value, (list, tuple)):
+        return [_unmasked(item) for item in value]
+    if not isinstance(value, np.ma.MaskedArray) or not np.ma.is_masked(value):
+        return value.data if isinstance(value, np.ma.MaskedArray) else value
+    if np.issubdtype(value.dtype, np.floating):
+        return value.filled(np.nan)
+    return np.where(np.ma.getmaskarray(value), None, value.data.astype(object))
+
+
+def _number(argument: str, item: Any, place: tuple[int, ...], expected: str) -> float:
+    if item is None or type(item).__name__ in ("NAType", "NaTType") or (isinstance(item, np.datetime64) and np.isnat(item)):
+        return np.nan
+    try:
+        if isinstance(item, (Real, Decimal, np.bool_)) or getattr(item, "shape", None) == ():
+            return float(item)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    refuse(argument, expected, f"{item!r:.80} at index {list(place)}")
+
+
+def as_float(argument: str, value: Any) -> jax.Array:
+    """Return an array of floats, or refuse; see `as_numbers`."""
+    # a bare number keeps the freedom of its type
+    array = jnp.asarray(value if isinstance(value, (bool, int, float)) else as_numbers(argument, value))
     if jnp.issubdtype(array.dtype, jnp.floating):
         return array
     if jnp.issubdtype(array.dtype, jnp.integer) or array.dtype == bool:
         return array.astype(jnp.result_type(float))
     refuse(argument, "real numbers", f"dtype {array.dtype}")
+
+
+def unknown(value: Any, dtype: Any = None, nan: bool = True) -> np.ndarray | None:
+    """Return the index of the first number that is infinite, also once it has the type it is computed with, or NaN; None if there is none.
+
+    Args:
+        value: array of numbers.
+        dtype: type it is computed with; the one JAX gives it otherwise.
+        nan: whether NaN counts.
+    """
+    array = np.asarray(value)
+    if not jnp.issubdtype(array.dtype, jnp.floating):
+        return None
+    with np.errstate(over="ignore"):
+        held = array.astype(jax.dtypes.canonicalize_dtype(array.dtype) if dtype is None else dtype, copy=False)
+    wrong = ~np.isfinite(held) if nan else np.isinf(held)
+    return np.argwhere(wrong)[0] if wrong.any() else None
 
 
 def shape(argument: str, value: Any, expected: tuple[int | None, ...], meaning: str = "") -> None:

@@ -5,6 +5,7 @@ output words are used. The number for particle i in row r depends on the key, i 
 on how they are shared out over devices. This is the only file that derives keys.
 """
 
+import hashlib
 from functools import partial
 from typing import Any
 
@@ -31,13 +32,13 @@ _BELOW_ONE = np.float32(1 - 2**-24)
 
 
 def as_key(key: KeyLike) -> jax.Array:
-    """Return a JAX key from a key or an integer seed.
+    """Return a JAX key from a key or an integer seed of any size.
 
     Raises:
         MotesError: the key is neither, or belongs to a generator without reproducible counters.
     """
-    if isinstance(key, (int, np.integer)) and not isinstance(key, bool):
-        return jax.random.key(int(key), impl="threefry2x32")
+    if _is_seed(key):
+        return jax.random.wrap_key_data(jnp.asarray(_seed_words(int(key))), impl="threefry2x32")  # type: ignore[arg-type]
     if isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
         if "threefry2x32" not in str(jax.random.key_impl(key)):
             refuse("key", "a threefry2x32 key", f"one of {jax.random.key_impl(key)}", "Use jax.random.key(seed) or an int.")
@@ -53,8 +54,21 @@ def key_or_data(key: KeyLike) -> Any:
     Raises:
         MotesError: see `as_key`, which takes both.
     """
-    plain = isinstance(key, (int, np.integer)) and not isinstance(key, bool) and 0 <= key < 2**31
-    return np.array([0, key], np.uint32) if plain else as_key(key)
+    return _seed_words(int(key)) if _is_seed(key) else as_key(key)  # type: ignore[arg-type]
+
+
+def _is_seed(key: object) -> bool:
+    return isinstance(key, (int, np.integer)) and not isinstance(key, bool)
+
+
+def _seed_words(seed: int) -> np.ndarray:
+    """Return 64 bits of key, `(2,)`: the seed itself where it fits, as JAX has it in double precision; otherwise a digest of it.
+
+    JAX in single precision keeps the lower 32 bits only, so that 1 and 2^32 + 1 would draw the same numbers.
+    """
+    if not 0 <= seed < 2**64:
+        seed = int.from_bytes(hashlib.sha256(hex(seed).encode()).digest()[:8], "big")
+    return np.array([seed >> 32, seed & 0xFFFFFFFF], np.uint32)
 
 
 def step_key(key: jax.Array, step: jax.Array | int) -> jax.Array:

@@ -15,7 +15,7 @@ from motes.core import checks
 from motes.core.record import record, replace, values
 from motes.core.types import Inputs
 from motes.filters.interface import Filter
-from motes.filters.run import run
+from motes.filters.run import checked_data, run
 
 REPEATS = 7
 SPAN = 0.2
@@ -109,7 +109,8 @@ def seconds_per_step(filter: Filter, model: Any, ys: jax.Array, inputs: Inputs =
         MotesError: there are too few measurements, or `run` refuses something.
     """
     checks.positive_integer("seconds_per_step repeats", repeats)
-    steps = np.shape(ys)[0]
+    ys, inputs = checked_data(model, ys, inputs)
+    steps = ys.shape[0]
     if steps < 2:
         checks.refuse("seconds_per_step ys", "at least two measurements", f"{steps}")
 

@@ -60,7 +60,7 @@ def nees(history: History, truth: Any, angles: tuple[int, ...] = ()) -> jax.Arra
         MotesError: truth has another shape.
     """
     checks.shape("nees truth", truth, history.mean.shape, "(steps, states)")
-    return normalized_errors(_errors(history, truth, angles).T, jnp.moveaxis(history.cov, 0, -1))
+    return normalized_errors(_errors("nees truth", history, truth, angles).T, jnp.moveaxis(history.cov, 0, -1))
 
 
 def nis(history: History) -> jax.Array:
@@ -79,7 +79,7 @@ def coverage(history: History, truth: Any, level: float = 0.95) -> jax.Array:
 
     Args:
         history: with means and covariances; intervals are those of Gaussians with these moments.
-        truth: true states `(t, x)`.
+        truth: true states `(t, x)`; missing ones (NaN) do not count.
         level: probability of the intervals.
 
     Raises:
@@ -88,12 +88,13 @@ def coverage(history: History, truth: Any, level: float = 0.95) -> jax.Array:
     checks.shape("coverage truth", truth, history.mean.shape, "(steps, states)")
     _check_level("coverage level", level)
     widest = float(ndtri(0.5 + level / 2)) * jnp.sqrt(jnp.diagonal(history.cov, axis1=1, axis2=2))
-    return jnp.mean(jnp.abs(_errors(history, truth)) <= widest, axis=0)
+    off = jnp.abs(_errors("coverage truth", history, truth))
+    return jnp.nanmean(jnp.where(jnp.isnan(off), jnp.nan, off <= widest), axis=0)
 
 
-def _errors(history: History, truth: Any, angles: tuple[int, ...] = ()) -> jax.Array:
+def _errors(argument: str, history: History, truth: Any, angles: tuple[int, ...] = ()) -> jax.Array:
     """Truth less means `(t, x)`, the short way round in angles."""
-    return wrap((jnp.asarray(truth) - history.mean).T, (*history.circular, *angles)).T
+    return wrap((checks.as_float(argument, truth) - history.mean).T, (*history.circular, *angles)).T
 
 
 def _check_level(argument: str, level: float) -> None:

@@ -75,7 +75,7 @@ def _cut(asked_by: str, estimates: Any, truths: Any, cutoff: float, order: float
     checks.above_zero(f"{asked_by} cutoff", cutoff)
     if not order >= 1:
         checks.refuse(f"{asked_by} order", "a number of at least 1", order)
-    one, other = (np.asarray(points, np.float64) for points in (estimates, truths))
+    one, other = (np.asarray(checks.as_numbers(asked_by, points), np.float64) for points in (estimates, truths))
     for name, points in (("estimates", one), ("truths", other)):
         if points.ndim != 2 or not np.isfinite(points).all():
             checks.refuse(f"{asked_by} {name}", "finite points, shape (n, x)", f"shape {points.shape}")

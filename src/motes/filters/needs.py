@@ -102,4 +102,5 @@ def _check_moments(asked_by: str, model: StateSpaceModel) -> None:
         part = getattr(model, name)
         if not linearize.has_moments(part):
             hint = "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter."
-            checks.refuse(f"{asked_by} {name}", "a mean function and a noise covariance", type(part).__name__, hint)
+            given = type(part).__name__ + (" with a law of sample and log_prob alone" if hasattr(part, "law") else "")
+            checks.refuse(f"{asked_by} {name}", "a mean function and a noise covariance", given, hint)

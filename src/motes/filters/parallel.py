@@ -18,7 +18,7 @@ from motes.filters import keep
 from motes.filters.history import Carry, History
 from motes.filters.interface import single
 from motes.filters.needs import as_linear_model
-from motes.filters.run import checked_measurements
+from motes.filters.run import checked_data
 from motes.laws.gaussian import Gaussian, among, zeroed
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
@@ -45,7 +45,7 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
         MotesError: the model is not linear-Gaussian, or measurements and inputs do not fit it.
         CollapseError: a measurement lies beyond all reason (outside jit only).
     """
-    ys = checked_measurements(model, ys, inputs)
+    ys, inputs = checked_data(model, ys, inputs)
     found = _run(canonical(model, jax.tree.map(one_of, inputs), one_of(ys)), ys, inputs)
     history = replace(found, label="KalmanFilter() in parallel")
     if checks.is_concrete(history.info.collapsed):

@@ -20,7 +20,7 @@ from motes.laws.conditional import Conditional
 from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.jump_markov import JumpMarkovModel, modes_of
 from motes.models.mixed_linear import MixedLinearModel
-from motes.models.state_space import Previous, StateSpaceModel, at_step, check_inputs, circular, decorrelated, measurement_size
+from motes.models.state_space import Previous, StateSpaceModel, at_step, checked_inputs, circular, decorrelated, measurement_size
 from motes.native import report
 
 Keep = Callable[[Any], dict[str, Any]]
@@ -44,8 +44,8 @@ def run(
         key: JAX key or integer seed, or a key for each step `(t,)`; the same key gives the same numbers, bit for bit, as `stream` with it.
         filter: the filter.
         model: state-space, mixed linear or jump-Markov model.
-        ys: measurements `(t, y)`; NaN means not measured; the first is of x_0.
-        inputs: tree with the time axis first, or None.
+        ys: measurements `(t, y)`; NaN, None, masked and NA mean not measured; the first is of x_0.
+        inputs: tree with the time axis first, or None; finite numbers in every row.
         keep: what to keep of each law (see `keep`).
         after: history of the steps before, to continue from with the same key; the result equals the uncut run, bit for bit.
 
@@ -56,7 +56,7 @@ def run(
     key = random.key_or_data(key)
     if not isinstance(filter, Filter):
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
-    ys = checked_measurements(model, ys, inputs)
+    ys, inputs = checked_data(model, ys, inputs)
     if isinstance(key, jax.Array) and key.ndim and after is None:
         checks.shape("run key", key, (np.shape(ys)[0],), "(one for each step)")
     first = None if after is None else after.last
@@ -79,6 +79,7 @@ def run_in_chunks(
     Arguments and errors are those of `run`; chunk is the number of steps at a time.
     """
     checks.positive_integer("run_in_chunks chunk", chunk)
+    ys, inputs = checked_data(model, ys, inputs)
     part = None
     for begin in range(0, np.shape(ys)[0], chunk):
         piece = slice(begin, begin + chunk)
@@ -194,23 +195,19 @@ def _apart(tree: Any) -> Any:
     return jax.lax.optimization_barrier(tree)
 
 
-def checked_measurements(model: Any, ys: Any, inputs: Inputs) -> Any:
-    """Return the measurements in the model's type, or refuse what does not fit; see `run`."""
+def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
+    """Return measurements, in the model's type, and inputs as arrays, or refuse what does not fit; see `run`."""
     if not isinstance(model, (StateSpaceModel, MixedLinearModel, JumpMarkovModel)):
         as_state_space("run", model)
     dtype = model.dtype
+    ys = checks.as_numbers("ys", ys, "real numbers, shape (t, y)")
     if checks.is_concrete(ys):
-        array = np.asarray(ys)
-        if array.dtype == object or not (np.issubdtype(array.dtype, np.number) or array.dtype == bool):
-            checks.refuse("ys", "real numbers, shape (t, y)", f"dtype {array.dtype}")
-        if np.isinf(array).any():
-            where = np.argwhere(np.isinf(array))[0].tolist()
-            checks.refuse("ys", "finite numbers, or NaN for what was not measured", f"{array[tuple(where)]} at index {where}")
+        refuse_infinite("ys", ys, dtype)
     ys = np.asarray(ys, dtype) if isinstance(ys, np.ndarray) else jnp.asarray(ys, dtype)
     if ys.ndim != 2 or ys.shape[0] == 0:
         hint = "Write ys[:, None] for one measured component." if ys.ndim == 1 else ""
         checks.refuse("ys", "shape (t, y) with at least one step", f"shape {ys.shape}", hint)
-    check_inputs(inputs, ys.shape[0], "ys")
+    inputs = checked_inputs(inputs, ys.shape[0], "ys")
     unable = [part.sensor for part in modes_of(model) if isinstance(part, StateSpaceModel) and not part.sensor.marginalizes]
     if unable and checks.is_concrete(ys):
         missing = np.isnan(np.asarray(ys))
@@ -218,4 +215,12 @@ def checked_measurements(model: Any, ys: Any, inputs: Inputs) -> Any:
         if some.any():
             checks.refuse("ys", f"rows without NaN, or all NaN ({type(unable[0]).__name__} cannot leave out single components)",
                           f"row {int(np.argmax(some))} partly NaN", "Use a Gaussian sensor or noise with independent components.")
-    return ys
+    return ys, inputs
+
+
+def refuse_infinite(argument: str, ys: Any, dtype: Any) -> None:
+    """Refuse measurements that are infinite, or too large for the type they are computed with."""
+    wrong = checks.unknown(ys, dtype, nan=False)
+    if wrong is not None:
+        given = f"{np.asarray(ys)[tuple(wrong)]} at index {wrong.tolist()}"
+        checks.refuse(argument, "finite numbers, or NaN for what was not measured", given)

@@ -12,9 +12,10 @@ from motes.core import checks, random
 from motes.core.types import Inputs, KeyLike
 from motes.filters.history import Carry, History, ask_evidence
 from motes.filters.interface import Filter, Info
-from motes.filters.run import Engine, canonical_parts, checked_measurements
+from motes.filters.run import Engine, canonical_parts, checked_data, refuse_infinite
 from motes.io import archive
 from motes.models.canonical import shape_of
+from motes.models.state_space import numbers_of
 from motes.native import report
 
 
@@ -72,7 +73,7 @@ class Stream:
             inputs: inputs of step 0 (not of the whole run), or None.
         """
         self.key, self.filter, self.model = random.as_key(key), filter, model
-        self._inputs = inputs
+        self._inputs = numbers_of("stream inputs", inputs)
         self._parts: list[Any] = []
         self._form: Any = None
         self._input_shapes: Any = None
@@ -82,7 +83,7 @@ class Stream:
         self.info: Info | None = None
 
     def update(self, y: Any) -> Info:
-        """Take in the measurement y `(y,)` of the present step and return the record of it.
+        """Take in the measurement y `(y,)` of the present step and return the record of it; NaN, None, masked and NA mean not measured.
 
         Raises:
             MotesError: y does not fit the model, or this step has its measurement already.
@@ -103,7 +104,12 @@ class Stream:
         return info
 
     def predict(self, u: Inputs = None) -> None:
-        """Go to the next step, with its inputs u."""
+        """Go to the next step, with its inputs u.
+
+        Raises:
+            MotesError: an input is not a finite number.
+        """
+        u = numbers_of("predict u", u)
         self._settle_pending()
         carry = self._opened(None)
         self._fit(u, carry.y)
@@ -133,13 +139,11 @@ class Stream:
 
     def _checked(self, y: Any) -> Any:
         if self._carry is None:
-            inputs = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], self._inputs)
-            return checked_measurements(self.model, np.atleast_1d(np.asarray(y))[None], inputs)[0]
-        y = np.atleast_1d(np.asarray(y, self._carry.y.dtype))
+            return checked_data(self.model, np.atleast_1d(checks.as_numbers("y", y))[None], None)[0][0]
+        y = np.atleast_1d(checks.as_numbers("y", y))
         checks.shape("y", y, self._carry.y.shape, "(as the first one)")
-        if np.isinf(y).any():
-            checks.refuse("y", "finite numbers, or NaN for what was not measured", y.tolist())
-        return y
+        refuse_infinite("y", y, self._carry.y.dtype)
+        return np.asarray(y, self._carry.y.dtype)
 
     def _opened(self, y: jax.Array | None) -> Carry:
         if self._carry is None:

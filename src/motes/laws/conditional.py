@@ -16,7 +16,7 @@ from motes.core.record import record, static
 from motes.core.types import MatrixLike, UserFunction
 from motes.laws.circular import wrap
 from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak
-from motes.laws.law import Law, as_law
+from motes.laws.law import Law, Shifted, as_law, check_size
 
 
 def over_particles(function: UserFunction, X: jax.Array, u: Any, t: Any) -> jax.Array:
@@ -76,6 +76,8 @@ class Conditional(ABC):
 
     def residual(self, value: jax.Array, prediction: jax.Array) -> jax.Array:
         """Difference `(z, *n)` of a value and a prediction, wrapped to (-pi, pi] where the component is an angle."""
+        if value.shape[0] != prediction.shape[0]:
+            checks.refuse(f"value given to {type(self).__name__}", f"{prediction.shape[0]} components, as it predicts", value.shape[0])
         return wrap(linalg.add_vectors(value, -prediction), self.angles)
 
 
@@ -239,48 +241,24 @@ class AdditiveNoise(Conditional):
 
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Return the law given one state."""
-        return Shifted(self.law, jnp.asarray(self.f(x, u, t)).astype(x.dtype))
+        return Shifted(self.law, self._fitting(jnp.asarray(self.f(x, u, t)).astype(x.dtype)))
+
+    def _fitting(self, predicted: jax.Array) -> jax.Array:
+        """Return what f gave `(z, *n)`, if the law has as many components."""
+        check_size("AdditiveNoise law", self.law, predicted.shape[0])
+        return predicted
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Draw one value for each particle, `(z, n)`."""
-        return over_particles(self.f, X, u, t) + self.law.sample(key, X.shape[-1]).astype(X.dtype)
+        return self._fitting(over_particles(self.f, X, u, t)) + self.law.sample(key, X.shape[-1]).astype(X.dtype)
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density given each particle; see `Conditional` (NaN components are left out where `marginalizes`)."""
-        residual = self.residual(value, over_particles(self.f, X, u, t))
+        residual = self.residual(value, self._fitting(over_particles(self.f, X, u, t)))
         # a prediction that is not a number is no missing measurement
         seen = _measured(value)
         wrong = jnp.isnan(residual) if seen is None else jnp.isnan(residual) & seen[:, None]
         return jnp.where(jnp.any(wrong, axis=0), jnp.nan, self.law.log_prob(residual))
-
-
-@record
-class Shifted(Law):
-    """A law moved by a vector.
-
-    Attributes:
-        law: the law of the difference.
-        by: `(x,)`.
-    """
-
-    law: Law
-    by: jax.Array
-
-    def mean(self) -> jax.Array:
-        """Mean, `(x,)`."""
-        return self.law.mean() + self.by
-
-    def cov(self) -> jax.Array:
-        """Covariance, `(x, x)`."""
-        return self.law.cov()
-
-    def sample(self, key: jax.Array, n: int) -> jax.Array:
-        """Draw n points, `(x, n)`."""
-        return self.law.sample(key, n) + self.by[:, None]
-
-    def log_prob(self, value: jax.Array) -> jax.Array:
-        """Log density at `(x,)` or `(x, n)`."""
-        return self.law.log_prob(linalg.add_vectors(value, -self.by))
 
 
 @record

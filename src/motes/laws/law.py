@@ -6,6 +6,7 @@ from typing import Any, Self
 import jax
 import jax.numpy as jnp
 
+from motes.core import linalg
 from motes.core.checks import refuse
 from motes.core.record import record, static
 
@@ -15,6 +16,8 @@ class Law(ABC):
 
     independent: bool = False
     """Whether the components are independent, so that missing ones can be left out."""
+    has_moments: bool = True
+    """Whether mean and covariance are known; a law that has none refuses to tell them."""
 
     @abstractmethod
     def mean(self) -> jax.Array:
@@ -41,36 +44,82 @@ class Law(ABC):
 
 
 @record
+class Shifted(Law):
+    """A law moved by a vector.
+
+    Attributes:
+        law: the law of the difference.
+        by: `(x,)`.
+    """
+
+    law: Law
+    by: jax.Array
+
+    def mean(self) -> jax.Array:
+        """Mean, `(x,)`."""
+        return self.law.mean() + self.by
+
+    def cov(self) -> jax.Array:
+        """Covariance, `(x, x)`."""
+        return self.law.cov()
+
+    def sample(self, key: jax.Array, n: int) -> jax.Array:
+        """Draw n points, `(x, n)`."""
+        return self.law.sample(key, n) + self.by[:, None]
+
+    def log_prob(self, value: jax.Array) -> jax.Array:
+        """Log density at `(x,)` or `(x, n)`."""
+        return self.law.log_prob(linalg.add_vectors(value, -self.by))
+
+
+@record
 class Foreign(Law):
-    """A distribution object of another library, such as numpyro's: anything with `sample(key, shape)` and `log_prob(x)`.
+    """A distribution object of another library or of the user's: anything with `sample(key, shape)` and `log_prob(x)`.
 
     Attributes:
         distribution: the object; its components lie along its batch or event axis.
         size: number of components.
+        scalar: whether one draw is a number, without an axis.
+        independent: components on a batch axis are independent; an event axis makes a joint density.
     """
 
     distribution: Any = static()
     size: int = static()
+    scalar: bool = static(default=False)
+    independent: bool = static(default=True)
 
     @property
-    def independent(self) -> bool:  # type: ignore[override]
-        """Components on a batch axis are independent; an event axis makes a joint density."""
-        return not getattr(self.distribution, "event_shape", ()) or self.size == 1
+    def has_moments(self) -> bool:  # type: ignore[override]
+        """Whether the object knows its mean and its variance or covariance."""
+        return self._told("mean") is not None and any(self._told(name) is not None for name in ("covariance_matrix", "variance"))
+
+    def _told(self, name: str) -> Any:
+        try:
+            return getattr(self.distribution, name, None)
+        except NotImplementedError:
+            return None
+
+    def _moment(self, name: str) -> jax.Array:
+        value = self._told(name)
+        if value is None:
+            kind = type(getattr(self.distribution, "of", self.distribution)).__name__
+            refuse(f"law {kind}", f"one with a {name} (moments are needed here)", "sample and log_prob alone",
+                   "Use a ParticleFilter, which needs no more, or give the law its moments.")
+        return jnp.asarray(value)
 
     def mean(self) -> jax.Array:
         """Mean, `(x,)`."""
-        return jnp.broadcast_to(jnp.asarray(self.distribution.mean), (self.size,))
+        return jnp.broadcast_to(self._moment("mean"), (self.size,))
 
     def cov(self) -> jax.Array:
         """Covariance, `(x, x)`."""
-        if hasattr(self.distribution, "covariance_matrix"):
-            return jnp.asarray(self.distribution.covariance_matrix)
-        return jnp.diag(jnp.broadcast_to(jnp.asarray(self.distribution.variance), (self.size,)))
+        if self._told("covariance_matrix") is not None:
+            return self._moment("covariance_matrix")
+        return jnp.diag(jnp.broadcast_to(self._moment("variance"), (self.size,)))
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points, `(x, n)`."""
-        own = tuple(getattr(self.distribution, "batch_shape", ())) + tuple(getattr(self.distribution, "event_shape", ()))
-        drawn = self.distribution.sample(key, (n,) if own else (n, self.size))
+        drawn = self.distribution.sample(key, (n, self.size) if self.scalar else (n,))
         return jnp.reshape(drawn, (n, self.size)).T
 
     def log_prob(self, value: jax.Array) -> jax.Array:
@@ -79,9 +128,20 @@ class Foreign(Law):
         if not self.independent:
             return self.distribution.log_prob(points)
         missing = jnp.isnan(points)
-        each = self.distribution.log_prob(jnp.where(missing, self.mean().astype(points.dtype), points))
+        stand_in = self.mean().astype(points.dtype) if self._told("mean") is not None else 0
+        each = self.distribution.log_prob(jnp.where(missing, stand_in, points))
         each = jnp.reshape(each, points.shape)
         return jnp.sum(jnp.where(missing, 0, each), axis=-1)
+
+
+class _Hashed:
+    """An object without a hash, as a dataclass that can be changed has none; it equals itself alone."""
+
+    def __init__(self, of: Any):
+        self.of = of
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(object.__getattribute__(self, "of"), name)
 
 
 def drawn(law: Law) -> jax.ShapeDtypeStruct:
@@ -92,17 +152,42 @@ def drawn(law: Law) -> jax.ShapeDtypeStruct:
     return jax.eval_shape(lambda law: law.sample(jax.random.key(0), 1), law)
 
 
-def as_law(argument: str, value: Any, size: int | None = None) -> Law:
+def check_size(argument: str, law: Law, size: int) -> None:
+    """Refuse a law of another number of components: broadcasting would make one number serve for all, or draw one for all."""
+    found = drawn(law).shape[0]
+    if found != size:
+        checked = f"a law of {size} components, as its function returns"
+        refuse(argument, checked, f"{type(law).__name__} of {found}", "Give one scale (or mean, or entry) for each component.")
+
+
+def as_law(argument: str, value: Any) -> Law:
     """Return a law, wrapping a foreign distribution.
 
     Raises:
-        MotesError: the value has neither the methods of a law nor those of a distribution.
+        MotesError: the value has neither the methods of a law nor those of a distribution, or cannot be drawn from.
     """
     if isinstance(value, Law):
         return value
     if hasattr(value, "sample") and hasattr(value, "log_prob"):
-        if size is None:
-            shape = tuple(getattr(value, "batch_shape", ())) + tuple(getattr(value, "event_shape", ()))
-            size = shape[-1] if shape else 1
-        return Foreign(value, size)
+        return _foreign(argument, value)
     refuse(argument, "a law, or an object with sample(key, shape) and log_prob(x)", type(value).__name__)
+
+
+def _foreign(argument: str, value: Any) -> Foreign:
+    """Find out how many components a distribution has, and whether they are independent, by its shapes or on shapes alone."""
+    if type(value).__hash__ is None:
+        value = _Hashed(value)
+    batch, event = getattr(value, "batch_shape", None), getattr(value, "event_shape", None)
+    if batch is not None or event is not None:
+        shape = (*(batch or ()), *(event or ()))
+        return Foreign(value, shape[-1] if shape else 1, not shape, not event or shape[-1] == 1)
+    form = "sample(key, (n,)) that returns (n,) or (n, x), and log_prob of such points"
+    try:
+        shape = jax.eval_shape(lambda: jnp.asarray(value.sample(jax.random.key(0), (3,)))).shape
+        points = jax.ShapeDtypeStruct((*shape[:1], 1) if len(shape) == 1 else shape, jnp.result_type(float))
+        each = jax.eval_shape(lambda points: jnp.asarray(value.log_prob(points)), points).shape
+    except Exception as reason:
+        refuse(argument, form, f"{type(reason).__name__} ({reason!s:.100})", "Batch and event shape are read where they are.")
+    if len(shape) not in (1, 2) or shape[0] != 3 or each not in (points.shape, shape, (3,)):
+        refuse(argument, form, f"shapes {shape} and {each}")
+    return Foreign(value, points.shape[-1], len(shape) == 1, each == points.shape or points.shape[-1] == 1)

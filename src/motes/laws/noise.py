@@ -34,6 +34,7 @@ class IndependentNoise(Law):
 
     def log_prob(self, value: jax.Array) -> jax.Array:
         """Log density at `(x,)` or `(x, n)`; NaN components are left out."""
+        checks.shape(f"value given to {type(self).__name__}", value, (self.variances().shape[0], *value.shape[1:]))
         missing = jnp.isnan(value)
         each = self.log_prob_each(jnp.where(missing, 0, value))
         return jnp.sum(jnp.where(missing, 0, each), axis=0)
@@ -65,7 +66,9 @@ class StudentT(IndependentNoise):
     def __init__(self, scale: jax.Array, df: float):
         """Check that scales and degrees of freedom are positive."""
         object.__setattr__(self, "scale", _scales("StudentT scale", scale))
-        object.__setattr__(self, "df", _scales("StudentT df", jnp.asarray(df, self.scale.dtype))[0])
+        freedom = _scales("StudentT df", jnp.asarray(df, self.scale.dtype))
+        checks.shape("StudentT df", freedom, (1,), "(one number for all components)")
+        object.__setattr__(self, "df", freedom[0])
 
     def variances(self) -> jax.Array:
         """Variance of each component; infinite for 2 degrees of freedom or fewer."""

@@ -133,4 +133,4 @@ def untilted(tilt: jax.Array, factor: jax.Array) -> jax.Array:
 
 def has_moments(part: Conditional) -> bool:
     """Tell whether a conditional has a mean function and a covariance."""
-    return isinstance(part, AdditiveGaussian) or hasattr(part, "law")
+    return isinstance(part, AdditiveGaussian) or (hasattr(part, "law") and part.law.has_moments)  # type: ignore[attr-defined]

@@ -150,7 +150,7 @@ class JoinedInitial(Law):
     order: tuple[int, ...] = static()
 
     def _gain(self) -> jax.Array:
-        p = self.initial_p.mean().shape[0]
+        p = drawn(self.initial_p).shape[0]
         k = self.initial_k.center.shape[0]
         return jnp.zeros((k, p), self.initial_k.center.dtype) if self.gain is None else self.gain
 

@@ -12,7 +12,7 @@ from motes.core.types import Inputs, KeyLike
 from motes.laws.conditional import Custom
 from motes.models.canonical import canonical, one_of
 from motes.models.jump_markov import JumpMarkovModel
-from motes.models.state_space import Previous, StateSpaceModel, at_step, check_inputs, decorrelated
+from motes.models.state_space import Previous, StateSpaceModel, at_step, checked_inputs, decorrelated
 
 
 def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:
@@ -31,7 +31,7 @@ def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tup
         MotesError: steps is not a positive whole number, or inputs and model do not fit together.
     """
     checks.positive_integer("simulate steps", steps)
-    check_inputs(inputs, steps, "steps")
+    inputs = checked_inputs(inputs, steps, "steps")
     key = random.as_key(key)
     return _simulate(key, _drawn_from(model, inputs), steps, inputs)
 
@@ -54,8 +54,10 @@ def measurements(key: KeyLike, model: Any, xs: jax.Array, inputs: Inputs = None)
     if getattr(model, "noise_cross_cov", None) is not None:
         checks.refuse("model", "measurement noise that is independent of the process noise, where states are given", "noise_cross_cov")
     model = _with_mode(model)
+    xs = checks.as_float("xs", xs).astype(model.dtype)
     checks.shape("xs", xs, (None, model.size), "(steps, states)")
-    return _measurements(random.as_key(key), _drawn_from(model, inputs), jnp.asarray(xs, model.dtype), inputs)
+    inputs = checked_inputs(inputs, xs.shape[0], "xs")
+    return _measurements(random.as_key(key), _drawn_from(model, inputs), xs, inputs)
 
 
 def _with_mode(model: Any) -> Any:

@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, linalg
+from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, MatrixLike
 from motes.laws.circular import near
-from motes.laws.conditional import AdditiveGaussian, Conditional, check_matrix, matrix
-from motes.laws.law import Law, as_law, drawn
+from motes.laws.conditional import AdditiveGaussian, Conditional, Custom, check_matrix, matrix
+from motes.laws.law import Law, as_law, check_size, drawn
 
 
 @record
@@ -107,9 +107,19 @@ class StateSpaceModel:
             if isinstance(part, AdditiveGaussian):
                 _check_moments(name, part, x, inputs_of_step, t, expected)
             elif hasattr(part, "f"):
-                function = getattr(part, "f")  # noqa: B009
-                found = jax.eval_shape(lambda x, u, t, f=function: jnp.asarray(f(x, u, t)), x, inputs_of_step, t).shape
+                found = _predicted(part, x, inputs_of_step, t)
                 checks.shape(f"{name} f(x, u, t)", jnp.zeros(found), (expected,))
+                if hasattr(part, "law"):
+                    check_size(f"{name} law", getattr(part, "law"), found[0])  # noqa: B009
+            elif isinstance(part, Custom) and part.sampler is not None and expected is not None:
+                found = jax.eval_shape(lambda x, u, t, part=part: part.sample(random.as_key(0), x[:, None], u, t), x, inputs_of_step, t)
+                checks.shape(f"{name} sample(key, x, u, t)", jnp.zeros(found.shape[:-1]), (expected,))
+
+
+def _predicted(part: Any, x: Any, u: Any, t: Any) -> tuple[int, ...]:
+    """Shape of what the function of a conditional returns."""
+    of_f = part.mean if isinstance(part, AdditiveGaussian) else part.f
+    return jax.eval_shape(lambda x, u, t: jnp.asarray(of_f(x, u, t)), x, u, t).shape
 
 
 def circular(model: Any) -> tuple[int, ...]:
@@ -218,7 +228,7 @@ def measurement_size(model: StateSpaceModel, inputs_of_step: Inputs) -> int | No
         return None
     x = jax.ShapeDtypeStruct((model.size,), model.dtype)
     t = jax.ShapeDtypeStruct((), jnp.int32)
-    return jax.eval_shape(lambda part, x, u, t: part.given(x, u, t).mean(), part, x, inputs_of_step, t).shape[0]
+    return _predicted(part, x, inputs_of_step, t)[0]
 
 
 def at_step(rows: Any, step: jax.Array | int) -> Any:
@@ -226,14 +236,48 @@ def at_step(rows: Any, step: jax.Array | int) -> Any:
     return jax.tree.map(lambda leaf: leaf[step], rows)
 
 
-def check_inputs(inputs: Inputs, steps: int, like: str) -> None:
-    """Refuse inputs that do not have one row per step.
+def checked_inputs(inputs: Inputs, steps: int, like: str, argument: str = "inputs") -> Inputs:
+    """Return inputs as arrays of numbers; refuse those that do not have one row per step, or are not known in every row.
 
     Args:
         inputs: tree with the time axis first, or None.
         steps: number of steps.
         like: the argument that gives the number of steps.
+        argument: name to use in the message.
     """
-    lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(inputs)}
+    if inputs is None:
+        return None
+    found = numbers_of(argument, inputs, rows=True)
+    lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(found)}
     if lengths - {steps}:
-        checks.refuse("inputs", f"arrays with the time axis first, {steps} steps as {like}", f"first axes {sorted(map(str, lengths))}")
+        hint = "A list counts as a tree of numbers: write np.array(...) around it." if None in lengths else ""
+        told = sorted(map(str, lengths))
+        checks.refuse(argument, f"arrays with the time axis first, {steps} steps as {like}", f"first axes {told}", hint)
+    return found
+
+
+def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
+    """Return a tree of inputs with an array of finite numbers in each place.
+
+    Args:
+        argument: name to use in the message.
+        inputs: tree of whatever `checks.as_numbers` takes, or None.
+        rows: whether the time axis is first.
+
+    Raises:
+        MotesError: something is no number, or NaN, missing or infinite, as far as it is known; the message names place and row.
+    """
+
+    def one(path: Any, leaf: Any) -> Any:
+        name = argument + jax.tree_util.keystr(path)
+        if isinstance(leaf, jax.Array) and not (checks.is_concrete(leaf) and jnp.issubdtype(leaf.dtype, jnp.floating)):
+            return leaf
+        array = leaf if isinstance(leaf, (bool, int, float)) else checks.as_numbers(name, leaf)
+        wrong = checks.unknown(array)
+        if wrong is not None:
+            place = f" in row {wrong[0]}" if rows and len(wrong) else ""
+            hint = "Only measurements may be missing: fill it, or say by one more input where it holds."
+            checks.refuse(name, "finite numbers", f"{np.asarray(array)[tuple(wrong)]:g}{place}", hint)
+        return array
+
+    return jax.tree_util.tree_map_with_path(one, inputs)

@@ -10,7 +10,7 @@ from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.filters import keep
 from motes.filters.interface import Filter
-from motes.filters.run import checked_measurements, run
+from motes.filters.run import checked_data, run
 from motes.laws.law import Law, as_law, drawn
 from motes.models.state_space import StateSpaceModel
 
@@ -41,7 +41,7 @@ class Parametric:
         if not callable(model):
             checks.refuse(f"{type(self).__name__} model", "a function of the parameters that returns a model", type(model).__name__)
         example = model(law.sample(random.as_key(0), 1)[:, 0])
-        measured = jnp.asarray(checked_measurements(example, ys, inputs))
+        measured, inputs = jax.tree.map(jnp.asarray, checked_data(example, ys, inputs))
         for name, value in (("prior", law), ("model", model), ("ys", measured), ("inputs", inputs)):
             object.__setattr__(self, name, value)
 

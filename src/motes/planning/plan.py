@@ -52,6 +52,14 @@ class Pilot:
     filters: dict[str, Filter] | None = None
     progress: bool | None = static(default=None)
 
+    def __post_init__(self) -> None:
+        """Bring the inputs to arrays.
+
+        Raises:
+            MotesError: one is not a finite number.
+        """
+        object.__setattr__(self, "inputs", numbers_of("Pilot inputs", self.inputs, rows=True))
+
 
 @record
 class Plan:

@@ -9,9 +9,9 @@ from motes.core import checks, random
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.filters.history import History
-from motes.filters.run import checked_measurements
+from motes.filters.run import checked_data
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, at_step, check_inputs, driven
+from motes.models.state_space import StateSpaceModel, at_step, checked_inputs, driven
 from motes.smoothers.interface import Smoothed, Smoother, Steps
 
 
@@ -38,9 +38,9 @@ def smooth(
     if not isinstance(history, History):
         checks.refuse("smooth history", "what mo.run gave", type(history).__name__)
     count = history.info.ess.shape[0]
-    check_inputs(inputs, count, "history")
+    inputs = checked_inputs(inputs, count, "history")
     if ys is not None:
-        ys = checked_measurements(model, ys, inputs)
+        ys, inputs = checked_data(model, ys, inputs)
         checks.shape("smooth ys", ys, (count, history.last.y.shape[0]), "(as in the run)")
     elif isinstance(model, StateSpaceModel) and model.noise_cross_cov is not None:
         checks.refuse("smooth ys", "the measurements of the run (its noises are correlated)", "None")

@@ -16,7 +16,7 @@ from motes.filters.run import Engine
 from motes.models.canonical import one_of
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.simulate import measurements, simulate
-from motes.models.state_space import StateSpaceModel, circular
+from motes.models.state_space import StateSpaceModel, checked_inputs, circular
 
 LONGEST_NAME = 60
 Blocks = tuple[tuple[str, tuple[str, ...]], ...]
@@ -67,16 +67,14 @@ class Experiment:
         checks.positive_integer("Experiment runs", self.runs)
         if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**32:
             checks.refuse("Experiment seed", "a whole number from 0 to 4294967295", repr(seed))
-        lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(self.inputs)}
-        if lengths - {steps}:
-            checks.refuse("Experiment inputs", f"arrays with the time axis first, {steps} steps", f"first axes {sorted(map(str, lengths))}")
+        inputs = checked_inputs(self.inputs, steps, "steps", "Experiment inputs")
         if track is not None:
             track = checks.as_float("Experiment track", track).astype(model.dtype)
             checks.shape("Experiment track", track, (steps, model.size), "(steps, states)")
             checks.finite("Experiment track", track)
         chosen = _checked_blocks(model.names, self.blocks)
         rule = _checked_rule(chosen, self.lost)
-        given = {"filters": _checked_filters(model, self.filters), "track": track, "blocks": chosen, "lost": rule}
+        given = {"filters": _checked_filters(model, self.filters), "inputs": inputs, "track": track, "blocks": chosen, "lost": rule}
         for name, value in given.items():
             object.__setattr__(self, name, value)
 
