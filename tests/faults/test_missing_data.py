@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
-from contract.discovery import examples
-from contract.models import linear
 
 import motes as mo
+from contract.discovery import examples
+from contract.models import linear
 from motes.core import checks
 from motes.costs import measure
 from motes.filters import parallel, stream

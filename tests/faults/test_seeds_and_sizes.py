@@ -1,4 +1,4 @@
-"""Seeds of any size give streams of their own; a noise law of another size than its function is refused; laws of two functions alone work."""
+"""Seeds of any size give streams of their own; noise laws of another size than their function are refused; laws of two functions work."""
 
 from dataclasses import dataclass
 
@@ -6,14 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from contract.discovery import examples
 
 import motes as mo
+from contract.discovery import examples
 from motes.core import random
 from motes.laws import conditional, law
 
-SEEDS = (0, 1, 5, 2**31, 2**31 + 5, 2**32 - 1, 2**32, 2**32 + 1, 2**63 - 1, 2**64 - 1, 2**64, 2**64 + 1, 2**65, 3**200, -1, -5, -(2**32), -(2**64),
-         np.random.SeedSequence(7).entropy, np.random.SeedSequence().entropy)  # fmt: skip
+SEEDS = (0, 1, 5, 2**31, 2**31 + 5, 2**32 - 1, 2**32, 2**32 + 1, 2**63 - 1, 2**64 - 1, 2**64, 2**64 + 1, 2**65, 3**200, -1, -5,
+         -(2**32), -(2**64), np.random.SeedSequence(7).entropy, np.random.SeedSequence().entropy)  # fmt: skip
 
 
 def streams():
@@ -69,9 +69,9 @@ def test_noises_of_another_size_are_refused(name):
                 mo.simulate(0, wrong, 3)
         part = mo.AdditiveNoise(lambda x, u, t: x, noise)
         X, y = jnp.zeros((2, 5)), jnp.ones(2)
-        for call in (lambda: part.log_prob(y, X, None, 0), lambda: part.sample(random.as_key(0), X, None, 0), lambda: part.given(y, None, 0)):  # noqa: B023
+        for call, args in ((part.log_prob, (y, X, None, 0)), (part.sample, (random.as_key(0), X, None, 0)), (part.given, (y, None, 0))):
             with pytest.raises(mo.MotesError, match=refused):
-                call()
+                call(*args)
     part = mo.AdditiveNoise(lambda x, u, t: x, LAWS[name](2))
     assert part.log_prob(jnp.ones(2), jnp.zeros((2, 5)), None, 0).shape == (5,)
     with pytest.raises(mo.MotesError, match="value given to AdditiveNoise: expected 2 components, as it predicts, got 1"):

@@ -115,7 +115,9 @@ def _unmasked(value: Any) -> Any:
         return value.data if isinstance(value, np.ma.MaskedArray) else value
     if np.issubdtype(value.dtype, np.floating):
         return value.filled(np.nan)
-    return np.where(np.ma.getmaskarray(value), None, value.data.astype(object))
+    items = value.data.astype(object)
+    items[np.ma.getmaskarray(value)] = None
+    return items
 
 
 def _number(argument: str, item: Any, place: tuple[int, ...], expected: str) -> float:

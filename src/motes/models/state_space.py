@@ -242,7 +242,7 @@ def checked_inputs(inputs: Inputs, steps: int, like: str, argument: str = "input
     Args:
         inputs: tree with the time axis first, or None.
         steps: number of steps.
-        like: the argument that gives the number of steps.
+        like: another argument that gives the number of steps.
         argument: name to use in the message.
     """
     if inputs is None:
@@ -250,9 +250,10 @@ def checked_inputs(inputs: Inputs, steps: int, like: str, argument: str = "input
     found = numbers_of(argument, inputs, rows=True)
     lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(found)}
     if lengths - {steps}:
+        like = like and f" as {like}"
         hint = "A list counts as a tree of numbers: write np.array(...) around it." if None in lengths else ""
         told = sorted(map(str, lengths))
-        checks.refuse(argument, f"arrays with the time axis first, {steps} steps as {like}", f"first axes {told}", hint)
+        checks.refuse(argument, f"arrays with the time axis first, {steps} steps{like}", f"first axes {told}", hint)
     return found
 
 

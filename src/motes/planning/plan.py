@@ -21,6 +21,7 @@ from motes.costs.measure import seconds_per_step
 from motes.filters.interface import Filter
 from motes.io.result_table import Table
 from motes.models.simulate import simulate
+from motes.models.state_space import numbers_of
 from motes.planning.candidates import candidates, given_candidates
 from motes.planning.needed import needed
 from motes.planning.sizes import LONG, Clock, Sized
