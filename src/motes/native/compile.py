@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 import jax
-import jaxlib
+from jaxlib import version
 
 from motes.io.private import private_folder
 
@@ -44,9 +44,9 @@ def compiler() -> tuple[str, ...]:
 @functools.cache
 def _surroundings() -> bytes:
     """What decides the machine code besides the source: compiler, processor, headers."""
-    version = subprocess.run([*_required(), "--version"], capture_output=True, timeout=SECONDS, check=False).stdout
-    texts = [*_required(), *FLAGS, *_wide(), platform.machine(), jax.__version__, jaxlib.__version__]
-    return b"\0".join([version, processor(), *map(str.encode, texts), *(path.read_bytes() for path in sorted(HEADERS.glob("*.hpp")))])
+    maker = subprocess.run([*_required(), "--version"], capture_output=True, timeout=SECONDS, check=False).stdout
+    texts = [*_required(), *FLAGS, *_wide(), platform.machine(), jax.__version__, version.__version__]
+    return b"\0".join([maker, processor(), *map(str.encode, texts), *(path.read_bytes() for path in sorted(HEADERS.glob("*.hpp")))])
 
 
 def processor() -> bytes:
