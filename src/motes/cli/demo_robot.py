@@ -5,7 +5,7 @@ is not part of the package. Writes to the folder `--out`: the NetCDF history, `s
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from motes.cli.compiled import keep_programs
@@ -26,12 +26,12 @@ class Demo:
         out: folder for the results.
     """
 
-    data: str = ""
+    data: str = field(default="", metadata={"path": True})
     odometry: Literal["recorded", "drifting"] = "recorded"
     n: int = 1_000
     linear: tuple[str, ...] = ("scale", "offset")
     seed: int = 0
-    out: str = "out"
+    out: str = field(default="out", metadata={"path": True})
 
 
 def main(words: Sequence[str]) -> None:

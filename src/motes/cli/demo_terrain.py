@@ -7,7 +7,7 @@ flown again with `motes run`, the flight itself: `flight.csv`, the map, `terrain
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -40,7 +40,7 @@ class Demo:
 
     n: int = FilterChoice.n
     seed: int = 0
-    out: str = "out"
+    out: str = field(default="out", metadata={"path": True})
     filter: tuple[str, ...] = SHOWN
     route: Literal["first", "second"] = "first"
     position_noise: float = Noises.position
@@ -134,6 +134,7 @@ time = "time"                                            # seconds or ISO 8601
 inertial = ["ins_north", "ins_east", "ins_altitude"]     # the track of the inertial navigation system
 height = "height"                                        # of the radio altimeter above terrain, m; empty where it failed
 truth = ["true_north", "true_east"]                      # for scoring; leave it out where it is not known
+# missing = -9999                                        # a number that means "not measured", beside empty cells
 
 [inertial]
 states = {states}              # errors: 9, or 15 (attitude and sensor biases in place of accelerations; straight level flight)

@@ -19,6 +19,10 @@ COMMANDS = {
 }
 
 
+LONGEST = 500
+"""Letters of a refusal."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand.
 
@@ -38,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"motes {version('motes')}")
         return 0
     if words[0] not in COMMANDS:
-        print(f"motes: expected one of the commands {', '.join(COMMANDS)}, got {words[0]!r}. See motes --help.", file=sys.stderr)
+        print(f"motes: expected one of the commands {', '.join(COMMANDS)}, got {words[0][:80]!r}. See motes --help.", file=sys.stderr)
         return 2
     return _guarded(words[0], words[1:])
 
@@ -66,7 +70,8 @@ def _guarded(name: str, words: list[str]) -> int:
         line = _in_one_line(reason)
         if line is None:
             raise
-        print(f"motes {name}: {line}", file=sys.stderr)
+        said = f"motes {name}: {line}"
+        print(said if len(said) <= LONGEST else said[: LONGEST - 3] + "...", file=sys.stderr)
         return 2
     return 0
 

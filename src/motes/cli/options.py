@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import io
 import os
+import reprlib
 import tomllib
 import types
 import typing
@@ -13,6 +14,7 @@ from typing import Any, NoReturn, TypeVar
 
 Settings = TypeVar("Settings")
 LARGEST = 1 << 20
+LARGEST_WHOLE = 10**300
 KINDS = {int: "a whole number", float: "a number", str: "text in quotes", bool: "true or false", tuple: "a list of texts"}
 
 
@@ -39,11 +41,12 @@ def from_flags(default: Settings, words: Sequence[str], command: str) -> Setting
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            return tyro.cli(type(default), args=list(words), default=default, prog=command, config=(tyro.conf.AvoidSubcommands,))
+            found = tyro.cli(type(default), args=list(words), default=default, prog=command, config=(tyro.conf.AvoidSubcommands,))
     except SystemExit as leaving:
         if not leaving.code:
             raise
-    refuse("options", f"those that {command} --help lists", _first_words(said.getvalue()))
+        refuse("options", f"those that {command} --help lists", _first_words(said.getvalue()))
+    return _at_home(found)
 
 
 def check_seed(seed: int) -> None:
@@ -99,7 +102,7 @@ def from_file_and_flags(kind: type[Settings], words: Sequence[str], usage: str) 
         from_flags(kind(), words, usage)
     if not words or words[0].startswith("-"):
         hint = "motes demo writes an example: out/terrain.toml."
-        refuse(usage.removesuffix(" CONFIG.toml"), "a TOML file first", " ".join(words) or "nothing", hint)
+        refuse("arguments", "a TOML file first", shown(" ".join(words)) if words else "nothing", hint)
     return from_flags(from_toml(kind, words[0]), words[1:], usage)
 
 
@@ -110,10 +113,10 @@ def _filled(kind: Any, table: dict[str, Any], path: Path, place: str) -> Any:
     given = {}
     for key, value in table.items():
         if key not in fields:
-            refuse(where, f"the keys {', '.join(fields)}", f"{key!r}")
+            refuse(where, f"the keys {', '.join(fields)}", shown(key))
         if dataclasses.is_dataclass(hints[key]):
             if not isinstance(value, dict):
-                refuse(f"{where} {key}", f"a table [{key}]", repr(value))
+                refuse(f"{where} {key}", f"a table [{key}]", shown(value))
             given[key] = _filled(hints[key], value, path, f"{place}.{key}" if place else key)
             continue
         given[key] = _value(hints[key], value, f"{where} {key}")
@@ -130,15 +133,42 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         value = [value] if isinstance(value, str) else value
         if isinstance(value, list) and all(isinstance(item, str) for item in value):
             return tuple(value)
-        refuse(where, KINDS[tuple], repr(value))
-    if hint is float and type(value) is int:
+        refuse(where, KINDS[tuple], shown(value))
+    if hint is float and type(value) is int and abs(value) < LARGEST_WHOLE:
         return float(value)
     if type(value) is not hint:
-        refuse(where, KINDS[hint], repr(value))
+        refuse(where, KINDS[hint], shown(value))
     return value
+
+
+def shown(value: Any) -> str:
+    """Return a value as a message repeats it: its beginning and end, however long or deep it is."""
+    brief = reprlib.Repr()
+    brief.maxlevel, brief.maxstring, brief.maxother = 2, 80, 80
+    return brief.repr(value)
 
 
 def _beside(folder: Path, value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(_beside(folder, item) for item in value)
-    return os.path.join(folder, value) if value else value
+    # a path from the home folder stands on its own; see `_at_home`
+    return os.path.join(folder, value) if value and not value.startswith("~") else value
+
+
+def _at_home(settings: Settings) -> Settings:
+    """Return settings with `~` in their paths as the home folder, as a shell would have it."""
+    changes = {}
+    for field in dataclasses.fields(settings):  # type: ignore[arg-type]
+        value = getattr(settings, field.name)
+        if dataclasses.is_dataclass(value):
+            changes[field.name] = _at_home(value)
+        elif field.metadata.get("path"):
+            changes[field.name] = tuple(map(_expanded, value)) if isinstance(value, tuple) else _expanded(value)
+    return dataclasses.replace(settings, **changes)  # type: ignore[type-var]
+
+
+def _expanded(path: str) -> str:
+    found = os.path.expanduser(path)
+    if found.startswith("~"):
+        refuse("path", "a home folder that there is", shown(path), "Write ./ in front where a name begins with ~.")
+    return found

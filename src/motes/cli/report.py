@@ -1,9 +1,9 @@
 """`motes report STORE`: write the web page of a study from the folder that its runs are kept in; needs neither model nor filters."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from motes.cli.options import from_flags, refuse
+from motes.cli.options import from_flags, refuse, shown
 
 USAGE = "motes report STORE"
 
@@ -17,7 +17,7 @@ class Report:
         title: heading of the page.
     """
 
-    out: str = "report.html"
+    out: str = field(default="report.html", metadata={"path": True})
     title: str = "Study"
 
 
@@ -30,7 +30,8 @@ def main(words: Sequence[str]) -> None:
     if words and words[0].startswith("-"):
         from_flags(Report(), words, USAGE)
     if not words or words[0].startswith("-"):
-        refuse(USAGE, "the folder of a study first", " ".join(words) or "nothing", "mo.study(..., store=FOLDER) makes one.")
+        given = shown(" ".join(words)) if words else "nothing"
+        refuse("arguments", "the folder of a study first", given, "mo.study(..., store=FOLDER) makes one.")
     settings = from_flags(Report(), words[1:], USAGE)
     from motes.report.html import report
     from motes.studies.result import StudyResult

@@ -21,6 +21,7 @@ from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.run import run_in_chunks
 from motes.io.archive import provenance, whole_file
+from motes.io.files import label
 from motes.models.state_space import at_step
 
 CHUNKS = 20
@@ -108,18 +109,25 @@ def number(value: float | None, digits: int) -> str:
 
 
 def check_folder(path: str) -> None:
-    """Refuse a folder for results that could not be written to, before there are any; makes nothing.
+    """Refuse a folder for results that could not be written to, before there are any, and say where it is; makes nothing.
 
     Raises:
-        FileError: it is no folder, or may not be written to.
+        FileError: it has no name, is no folder, or may not be written to.
     """
+    if not path or "\0" in path:
+        refuse("out", "a folder for results", "none" if not path else repr(path[:80]), "Write . for the present one.", error=FileError)
     place = Path(path).absolute()
-    existing = next(above for above in (place, *place.parents) if os.path.lexists(above))
-    if not existing.is_dir():
-        refuse(path, "a folder that can be written", f"{existing.name}, which is none", error=FileError)
+    try:
+        existing = next(above for above in (place, *place.parents) if os.path.lexists(above))
+        is_folder, room = existing.is_dir(), os.statvfs(existing).f_blocks
+    except OSError as reason:
+        refuse(label(path), "a folder that can be written", reason.strerror or str(reason), error=FileError)
+    if not is_folder:
+        refuse(label(path), "a folder that can be written", f"{existing.name[:80]}, which is none", error=FileError)
     # some file systems, such as /proc, allow nothing although the permissions would
-    if not os.access(existing, os.W_OK | os.X_OK) or os.statvfs(existing).f_blocks == 0:
-        refuse(path, "a folder that can be written", f"{existing}, which cannot", error=FileError)
+    if not os.access(existing, os.W_OK | os.X_OK) or room == 0:
+        refuse(label(path), "a folder that can be written", f"{label(existing)}, which cannot", error=FileError)
+    print(f"Results go to {os.path.normpath(place)}.")
 
 
 def made_folder(path: str) -> Path:
@@ -132,7 +140,7 @@ def made_folder(path: str) -> Path:
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as reason:
-        refuse(path, "a folder that can be written", reason.strerror or str(reason), error=FileError)
+        refuse(label(path), "a folder that can be written", reason.strerror or str(reason), error=FileError)
     return place
 
 

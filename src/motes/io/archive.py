@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core.checks import FileError, need, refuse
+from motes.core.checks import FileError, need
 from motes.io.files import look, reject
 from motes.io.members import LARGEST, PACKED, Form, Members, opened, too_large, unpacked
 
@@ -53,6 +53,8 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         FileError: the folder is missing or cannot be written to, or the disk is full.
     """
     temporary = None
+    if "\0" in str(path):
+        reject(path, "a name of a file", repr(str(path)[-80:]))
     try:
         name = path.with_name(f".{path.name[:80]}.{secrets.token_hex(8)}")
         with name.open("xb") as file:
@@ -64,7 +66,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         temporary = None
         _force(path.parent)
     except OSError as reason:
-        refuse(str(path), "a file that can be written", reason.strerror or str(reason), error=FileError)
+        reject(path, "a file that can be written", reason.strerror or str(reason))
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)

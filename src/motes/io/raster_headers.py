@@ -2,16 +2,20 @@
 
 import re
 
+import numpy as np
+
 from motes.io.files import reject
 
 HEADER_BYTES = 4096
 UHL, DSI, ACC = 80, 648, 2700
-HGT_SIZES = {2 * columns * rows: (rows, columns) for columns, rows in ((1201, 1201), (1801, 3601), (3601, 3601))}
+SENTINEL = 0xAA
+LOWEST_MAGNITUDE = 12_000
+"""Meters; no sea is deeper, so that what seems to be is stored in another way."""
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def kind_of(name: str, file_name: str, start: bytes) -> str:
-    """Return what a raster file is: "DTED", "GTiff", "npz" or "SRTMHGT" (which alone has no mark and goes by its name).
+    """Return what a raster file is: "DTED", "GTiff", "npz" (a zip archive) or "HGT" (which alone has no mark and goes by its name).
 
     Args:
         name: the file as messages show it.
@@ -28,7 +32,7 @@ def kind_of(name: str, file_name: str, start: bytes) -> str:
     if start[:3] in (b"UHL", b"VOL", b"HDR"):
         return "DTED"
     if file_name.lower().endswith(".hgt"):
-        return "SRTMHGT"
+        return "HGT"
     reject(name, "a DTED, GeoTIFF, HGT or npz raster by its first bytes", f"a file that starts with {start[:8]!r}")
 
 
@@ -57,9 +61,7 @@ def check_dted(name: str, start: bytes, size: int, largest: int) -> None:
     Raises:
         FileError: naming the field.
     """
-    first = 0
-    while start[first : first + 3] in (b"VOL", b"HDR"):
-        first += UHL
+    first = _before(start)
     uhl, dsi = start[first : first + UHL], start[first + UHL : first + UHL + DSI]
     if uhl[:3] != b"UHL" or dsi[:3] != b"DSI" or len(dsi) < DSI:
         reject(name, "a UHL and a DSI record", "a file without them")
@@ -90,25 +92,51 @@ def check_dted(name: str, start: bytes, size: int, largest: int) -> None:
             reject(name, f"DSI {field} {value} as in the UHL record", repr(other), "The file is damaged.")
 
 
-def check_hgt(name: str, file_name: str, size: int, largest: int) -> None:
-    """Refuse an HGT tile whose name is no corner on the globe or whose size is no known tile.
+def check_dted_records(name: str, data: bytes, largest: int) -> np.ndarray:
+    """Refuse a DTED file whose columns are not those they say they are, or whose heights are not in sign and magnitude.
+
+    What the headers say must have been checked before. The checksums of the columns are GDAL's to verify.
+
+    Args:
+        name: the file as messages show it.
+        data: the whole of it.
+        largest: number of heights allowed.
+
+    Returns:
+        Where a height is "minus zero", `(rows, columns)` with row 0 in the north: the mark of a void in two's complement, no height.
 
     Raises:
-        FileError: naming what is wrong.
+        FileError: naming the column.
     """
-    parts = re.fullmatch(r"([NS])(\d\d)([EW])(\d\d\d)\.hgt", file_name, re.IGNORECASE)
-    if not parts:
-        reject(name, "a name such as N44E005.hgt (the south-west corner)", repr(file_name))
-    latitude = int(parts[2]) * (1 if parts[1] in "Nn" else -1)
-    longitude = int(parts[4]) * (1 if parts[3] in "Ee" else -1)
-    if not -90 <= latitude <= 89:
-        reject(name, "a south edge between S90 and N89 in the name", f"{parts[1]}{parts[2]}")
-    if not -180 <= longitude <= 179:
-        reject(name, "a west edge between W180 and E179 in the name", f"{parts[3]}{parts[4]}")
-    if size not in HGT_SIZES:
-        sizes = ", ".join(f"{tile} ({columns} x {rows})" for tile, (rows, columns) in HGT_SIZES.items())
-        reject(name, f"a size in bytes of {sizes}", f"{size} bytes", "The file is damaged or not an HGT tile.")
-    check_size(name, *HGT_SIZES[size], largest)
+    first = _before(data)
+    columns, rows = int(data[first + 47 : first + 51]), int(data[first + 51 : first + 55])
+    check_size(name, rows, columns, largest)
+    records = np.frombuffer(data, np.uint8, offset=first + UHL + DSI + ACC).reshape(columns, 12 + 2 * rows)
+    bad = records[:, 0] != SENTINEL
+    if bad.any():
+        column = int(np.argmax(bad))
+        reject(name, f"column {column + 1} to begin with byte {SENTINEL:#x}", f"{records[column, 0]:#x}", "The file is damaged.")
+    counts = records[:, 4:6].copy().view(">u2")[:, 0]
+    bad = counts != np.arange(columns)
+    if bad.any():
+        column = int(np.argmax(bad))
+        reject(name, f"column {column + 1} of the file to be the meridian {column}", f"{counts[column]}",
+               "Columns are missing, doubled or swapped.")  # fmt: skip
+    words = records[:, 8:-4].copy().view(">u2")
+    strange = (words > 0x8000 + LOWEST_MAGNITUDE) & (words != 0xFFFF)
+    if strange.any():
+        column, row = np.argwhere(strange)[0]
+        reject(name, "heights as sign and magnitude", f"{words[column, row]:#06x} in column {column + 1}, row {row + 1} from the south",
+               "These look like two's complement: write the file anew, as DTED asks for.")  # fmt: skip
+    return (words == 0x8000).T[::-1]
+
+
+def _before(data: bytes) -> int:
+    """Return how many bytes of tape labels come before the first header."""
+    first = 0
+    while data[first : first + 3] in (b"VOL", b"HDR"):
+        first += UHL
+    return first
 
 
 def _number(name: str, field: str, text: bytes) -> int:

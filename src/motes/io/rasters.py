@@ -14,19 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from motes.core.checks import need
+from motes.core.checks import need, warn
 from motes.core.record import record, static
 from motes.io.files import foreign, label, look, reject
+from motes.io.georeference import georeference, ground_lengths, meters_per_degree, other_datum
+from motes.io.hgt import read_hgt, zipped_name
 from motes.io.npz_rasters import read_npz
-from motes.io.raster_headers import HEADER_BYTES, check_dted, check_hgt, check_size, kind_of
+from motes.io.raster_headers import HEADER_BYTES, check_dted, check_dted_records, check_size, kind_of
 
 LARGEST = 36_000_000
 LOWEST, HIGHEST = -600.0, 9500.0
-FINEST = 0.05
-"""Meters; posts of a projected map that seem nearer to each other are degrees."""
 UNDECLARED_VOIDS = (-32767.0, -32768.0)
 METERS = ("", "m", "metre", "metres", "meter", "meters")
-SEMI_MAJOR, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3  # WGS 84
 
 
 @record
@@ -84,36 +83,28 @@ class Raster:
         return (self.north + self.south) / 2, (self.west + self.east) / 2
 
     def spacing_m(self, latitude: float | None = None) -> tuple[float, float]:
-        """Return the distance between rows and between columns in meters.
+        """Return the distance on the ground between rows and between columns in meters.
+
+        On a projected raster that is measured at its middle: a map meter of Web Mercator, for one, is half a meter at 60 degrees.
 
         Args:
             latitude: where to measure it on a geographic raster, degrees; the mean latitude if not given.
+
+        Raises:
+            MissingExtraError: the raster is a projected one and rasterio is not installed.
         """
         if self.crs == "projected":
-            return self.dy, self.dx
+            north, east = (1.0, 1.0) if self.epsg is None else ground_lengths(f"EPSG:{self.epsg}", *self._middle)
+            return north * self.dy, east * self.dx
         per_north, per_east = meters_per_degree(self._middle[0] if latitude is None else latitude)
         return self.dy * per_north, self.dx * per_east
-
-
-def meters_per_degree(latitude: float) -> tuple[float, float]:
-    """Return the lengths of one degree of latitude and of longitude on the WGS 84 ellipsoid, meters.
-
-    They follow from the radii of curvature along the meridian and along the normal section at right angles to it.
-
-    Args:
-        latitude: degrees.
-    """
-    phi = math.radians(latitude)
-    bulge = 1.0 - ECCENTRICITY_SQUARED * math.sin(phi) ** 2
-    meridian, normal = SEMI_MAJOR * (1.0 - ECCENTRICITY_SQUARED) / bulge**1.5, SEMI_MAJOR / math.sqrt(bulge)
-    return math.radians(meridian), math.radians(normal * math.cos(phi))
 
 
 def read_raster(path: str | os.PathLike[str], *, nodata: float | None = None, largest: int = LARGEST) -> Raster:
     """Read terrain heights from a DTED, HGT, GeoTIFF or npz file.
 
     Args:
-        path: the file; its kind is decided by its first bytes (HGT, which has no mark, by its name and exact size).
+        path: the file; its kind is decided by its first bytes (HGT, which has no mark, by its name and exact size; it may be zipped).
         nodata: a height that means "void", beside the declared one and, in whole numbers, -32767 and -32768.
         largest: refuse files with more heights than this, before reading them.
 
@@ -124,19 +115,27 @@ def read_raster(path: str | os.PathLike[str], *, nodata: float | None = None, la
         FileError: the file is damaged, is none of these kinds, has no usable georeference, or holds heights outside
             -600 m to 9500 m that no void value explains.
         MissingExtraError: rasterio is not installed.
+
+    Warns:
+        MotesWarning: the file's coordinates belong to a datum other than WGS 84 and its kin; they are taken as they are.
     """
     size, start = look(path, HEADER_BYTES)
     name, file_name = label(path), Path(path).name
     kind = kind_of(name, file_name, start)
-    if kind == "npz":
-        grid, north, west, dy, dx = read_npz(path, largest)
+    if kind in ("npz", "HGT"):
+        inside = zipped_name(path) if kind == "npz" else None
+        grid, *place = read_hgt(path, largest, inside) if kind == "HGT" or inside else read_npz(path, largest)
         heights = _cleaned(name, grid.astype(np.float32), grid.dtype, nodata)
+        north, west, dy, dx = place
         return Raster(heights, north, west, dy, dx, "geographic", 4326, file_name)
-    if kind == "DTED":
-        check_dted(name, start, size, largest)
-    elif kind == "SRTMHGT":
-        check_hgt(name, file_name, size, largest)
-    return _read_gdal(path, kind, nodata, largest)
+    if kind == "GTiff":
+        return _read_gdal(path, kind, nodata, largest)
+    check_dted(name, start, size, largest)
+    with foreign(path, "an undamaged DTED file"):
+        minus_zero = check_dted_records(name, Path(path).read_bytes(), largest)
+    raster = _read_gdal(path, kind, nodata, largest)
+    raster.heights[minus_zero] = np.nan
+    return raster
 
 
 def jacksboro() -> Raster:
@@ -206,13 +205,18 @@ def _read_gdal(path: str | os.PathLike[str], driver: str, nodata: float | None, 
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         with rasterio.open(Path(path).absolute(), driver=driver) as file:
             _check_layout(name, file, largest)
-            grid = _georeference(name, file)
+            grid = georeference(name, file)
             heights = file.read(1, out_dtype="float32")
             heights[file.read_masks(1) == 0] = np.nan
-            if (file.scales, file.offsets) != ((1.0,), (0.0,)):
-                reject(name, "heights stored as they are", f"scale {file.scales[0]} and offset {file.offsets[0]}")
-            kind = np.dtype(file.dtypes[0])
-            heights = _cleaned(name, heights[::-1] if file.transform.e > 0 else heights, kind, nodata)
+            stored, (scale,), (offset,) = np.dtype(file.dtypes[0]), file.scales, file.offsets
+            if not (math.isfinite(scale) and math.isfinite(offset) and scale > 0):
+                reject(name, "a positive scale and a finite offset of heights", f"{scale} and {offset}")
+            heights = heights[::-1] if file.transform.e > 0 else heights
+            heights = _cleaned(name, heights, stored, nodata, scale, offset)
+            datum = other_datum(file.crs)
+    if datum:
+        warn(f"{name}: coordinates are those of the datum {datum}, which may lie hundreds of meters from WGS 84. Give positions in it too, "
+             "or convert the file.")  # fmt: skip
     return Raster(heights, *grid, Path(path).name)
 
 
@@ -239,39 +243,15 @@ def _check_blocks(name: str, file: Any) -> None:
             reject(name, "every block of heights to be there", f"block {row}, {column} missing", "The file is damaged.")
 
 
-def _georeference(name: str, file: Any) -> tuple[float, float, float, float, str, int | None]:
-    """Return north, west, dy, dx, crs and EPSG number of an open file."""
-    step, crs = file.transform, file.crs
-    if not crs or step.is_identity:
-        hint = "Write it with gdal_translate -a_srs -a_ullr."
-        reject(name, "a georeference (reference system and position)", "none", hint)
-    numbers = tuple(step)[:6]
-    if not all(map(math.isfinite, numbers)) or step.b or step.d or step.a <= 0 or step.e == 0:
-        reject(name, "rows that run east and columns north or south", f"the transform {numbers}", "Resample it.")
-    if not (crs.is_geographic or crs.is_projected):
-        reject(name, "a geographic or projected reference system", crs.to_string())
-    unit, factor = crs.units_factor
-    if abs(factor - (math.radians(1) if crs.is_geographic else 1.0)) > 1e-9:
-        reject(name, "coordinates in degrees or meters", f"the unit {unit!r}", "Reproject the file.")
-    dy, dx = abs(step.e), step.a
-    # GDAL gives the outer corners of cells also for files of points
-    north = step.f - dy / 2 if step.e < 0 else step.f + (file.height - 0.5) * dy
-    west = step.c + dx / 2
-    south, east = north - (file.height - 1) * dy, west + (file.width - 1) * dx
-    if crs.is_projected and max(dy, dx) < FINEST:
-        reject(name, f"posts at least {FINEST} m apart in {crs.to_string()}", f"{max(dy, dx):.3g} m",
-               "These look like degrees: the reference system is a wrong one.")
-    if crs.is_geographic and not (-90 - dy <= south and north <= 90 + dy and -180 - dx <= west and east <= 360 + dx):
-        given = f"latitudes {south:.6g} to {north:.6g} and longitudes {west:.6g} to {east:.6g}"
-        reject(name, "latitudes within 90 and longitudes within 180 degrees", given)
-    return north, west, dy, dx, "geographic" if crs.is_geographic else "projected", crs.to_epsg()
-
-
-def _cleaned(name: str, heights: np.ndarray, stored: np.dtype, nodata: float | None) -> np.ndarray:
-    """Put NaN at voids and refuse heights that no place on Earth has."""
+def _cleaned(
+    name: str, heights: np.ndarray, stored: np.dtype, nodata: float | None, scale: float = 1.0, offset: float = 0.0
+) -> np.ndarray:
+    """Put NaN at voids, turn what is stored into meters, and refuse heights that no place on Earth has."""
     voids = UNDECLARED_VOIDS if stored.kind in "iu" else ()
     for value in (*voids, *(() if nodata is None else (nodata,))):
         heights[heights == np.float32(value)] = np.nan
+    if (scale, offset) != (1.0, 0.0):
+        heights = (heights.astype(np.float64) * scale + offset).astype(np.float32)
     if np.isnan(heights).all():
         reject(name, "at least one measured height", "voids only")
     for extreme, beyond in ((np.nanargmin(heights), np.less), (np.nanargmax(heights), np.greater)):
@@ -279,6 +259,6 @@ def _cleaned(name: str, heights: np.ndarray, stored: np.dtype, nodata: float | N
         height = heights[row, column]
         if beyond(height, LOWEST if beyond is np.less else HIGHEST):
             expected = f"heights between {LOWEST:.0f} m and {HIGHEST:.0f} m"
-            hint = f"If it marks voids, pass nodata={height:.9g}."
+            hint = f"If it marks voids, say so: nodata={height:.9g}."
             reject(name, expected, f"{height:.9g} in row {row}, column {column} (0-based, from the north-west)", hint)
     return np.ascontiguousarray(heights)

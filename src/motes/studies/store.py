@@ -24,16 +24,10 @@ import numpy as np
 from motes.core.checks import FileError, refuse
 from motes.io import archive
 from motes.io.files import foreign, label
+from motes.studies.ledger import SCHEMA, recognize, sound
 
-FORMAT = 1
 LEDGER, LOCK, KIND = "ledger.sqlite", "lock", "runs of a study"
 REPAIR = "study(..., repair=True) computes these runs again."
-SCHEMA = f"""
-CREATE TABLE field (name TEXT PRIMARY KEY, digest TEXT, shown TEXT, mark TEXT);
-CREATE TABLE part (number INTEGER PRIMARY KEY, name TEXT UNIQUE, digest TEXT, shown TEXT, mark TEXT);
-CREATE TABLE block (part INTEGER, start INTEGER, stop INTEGER, digest TEXT, mark TEXT, PRIMARY KEY (part, start));
-PRAGMA user_version = {FORMAT};
-"""
 _OURS = re.compile(r"\.?part\d+-\d+-\d+\.npz(\.[0-9a-f]+)?")
 
 Arrays = dict[str, np.ndarray]
@@ -92,6 +86,7 @@ class Store:
             FileError: the folder or the ledger cannot be used, or another process writes to it.
         """
         self.folder, self._lock = folder, None
+        recognize(folder / LEDGER)
         if write:
             with foreign(folder, "a folder that can be written"):
                 archive.durable_folder(folder.absolute())
@@ -109,7 +104,7 @@ class Store:
 
     def __exit__(self, *reason: object) -> None:
         """Close the ledger and end the lock."""
-        with foreign(self.folder / LEDGER, "a ledger that can be closed"):
+        with sound(self.folder / LEDGER, "a ledger that can be closed"):
             if self._lock is not None:
                 # one plain file again, which can be read where nothing can be written; not while somebody reads it
                 with suppress(sqlite3.OperationalError):
@@ -124,25 +119,20 @@ class Store:
 
     def _check(self) -> None:
         with self._reading():
-            version = self._ledger.execute("PRAGMA user_version").fetchone()[0]
-            if version == FORMAT:
-                found = self._ledger.execute("PRAGMA integrity_check").fetchone()[0]
-                if found != "ok":
-                    raise sqlite3.DatabaseError(found)
-        if version != FORMAT:
-            hint = "Read it with a newer motes." if version > FORMAT else "It is no ledger of a study."
-            refuse(label(self.folder / LEDGER), f"a ledger of format {FORMAT}", f"format {version}", hint, FileError)
+            found = self._ledger.execute("PRAGMA integrity_check").fetchone()[0]
+            if found != "ok":
+                raise sqlite3.DatabaseError(found)
         for table in ("field", "part", "block"):
             self._rows(table)
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        with foreign(self.folder / LEDGER, "an undamaged ledger"):
+        with sound(self.folder / LEDGER, "an undamaged ledger"):
             yield
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        with foreign(self.folder / LEDGER, "a ledger that can be written"):
+        with sound(self.folder / LEDGER, "a ledger that can be written"):
             self._ledger.execute("BEGIN IMMEDIATE")
             try:
                 yield
@@ -293,7 +283,7 @@ def _opened(folder: Path, write: bool) -> sqlite3.Connection:
     if not path.is_file() or not path.stat().st_size:
         if runs or not write:
             refuse(label(path), "the ledger of a study", f"none beside {runs} files of runs", "Restore it from a copy.", FileError)
-    with foreign(path, "an undamaged ledger"):
+    with sound(path, "an undamaged ledger"):
         mode = "rwc" if write else "ro"
         ledger = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode={mode}", uri=True, isolation_level=None)
         if write:

@@ -8,12 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.aircraft_tracking.model import Radar
+from motes.core import checks
 from motes.core.record import record
 from motes.io.tables import read_table
 from motes.laws.gaussian import Gaussian
 
 BEGIN, DURATION = 556.0, 4800.0
-"""Part of the recording that is flown, seconds."""
+"""Part of the recording that is flown unless said otherwise, seconds."""
 RADAR = (-25e3, -20e3)
 """East and north of the radar from the middle of the flight, meters."""
 JERK, POSITION_SD, SPEED_SD, SOFT = 1.0, 50.0, 2.0, 6.0
@@ -22,6 +23,13 @@ UNSCORED = 10
 """Plots at the start that are not scored."""
 LOST = 1e3
 """A track is lost when it is further off at a plot, meters."""
+REPORT = ("timestamp", "latitude", "longitude", "groundspeed", "track")
+LIMITS = ((-1e15, 1e15), (-89.0, 89.0), (-180.0, 360.0), (0.0, 2000.0), (-360.0, 360.0))
+"""Columns of a report and what they can be: seconds, degrees (no flat map has a pole), degrees, knots, degrees."""
+LEAST = 10
+"""Reports without which there is no path."""
+LATEST, MILLI = 1e11, 1e3
+"""Times beyond the one, in the year 5138, are milliseconds."""
 EARTH, KNOT = 6371008.8, 1852 / 3600
 
 
@@ -70,27 +78,72 @@ class Score(NamedTuple):
     worst: jax.Array
 
 
-def read_path(file: str | os.PathLike[str]) -> Path:
-    """Read a recording of ADS-B reports (CSV or Parquet) and smooth it.
+def read_path(
+    file: str | os.PathLike[str], start: float = BEGIN, duration: float = DURATION, radar: tuple[float, float] = RADAR
+) -> Path:
+    """Read a recording of ADS-B reports (CSV, JSON or Parquet, also zipped by gzip) and smooth it.
 
-    Repeated positions are dropped. Degrees are laid out evenly on a plane, with velocities stretched in the same way.
+    Reports without a position, or without a speed and a track, are left out, and so are repeated positions. Degrees are laid out evenly
+    on a plane, with velocities stretched in the same way.
+
+    Args:
+        file: the recording, with the columns timestamp, latitude, longitude (degrees), groundspeed (knots) and track (degrees from north).
+        start: of the part that is flown, seconds since the first report.
+        duration: of that part, seconds; a recording may end before.
+        radar: east and north of the radar from the middle of that part, meters.
 
     Raises:
-        FileError: the file cannot be used.
+        FileError: the file cannot be used, or holds too little of the part that is asked for.
+        MotesError: a setting cannot be used.
     """
-    table = read_table(file, ["timestamp", "latitude", "longitude", "groundspeed", "track"])
-    seconds = table["timestamp"] - table["timestamp"][0]
-    kept = (seconds >= BEGIN) & (seconds <= BEGIN + DURATION)
-    kept[1:] &= (np.diff(table["latitude"]) != 0) | (np.diff(table["longitude"]) != 0)
-    time, latitude, longitude, speed, track = (column[kept] for column in (seconds, *list(table.values())[1:]))
+    for name, value in (("start", start), ("radar east", radar[0]), ("radar north", radar[1])):
+        checks.finite(name, value)
+    checks.above_zero("duration", duration)
+    time, latitude, longitude, speed, track = _flown(file, start, duration)
     middle = np.median(latitude), np.median(longitude)
     shrink = np.cos(np.radians(middle[0]))
-    east = EARTH * shrink * np.radians(longitude - middle[1]) - RADAR[0]
-    north = EARTH * np.radians(latitude - middle[0]) - RADAR[1]
+    east = EARTH * shrink * np.radians(wrapped_degrees(longitude - middle[1])) - radar[0]
+    north = EARTH * np.radians(latitude - middle[0]) - radar[1]
     course = np.radians(track)
     stretch = shrink / np.cos(np.radians(latitude))
     axes = [smoothed(time, east, KNOT * speed * np.sin(course) * stretch), smoothed(time, north, KNOT * speed * np.cos(course))]
     return Path(time - time[0], np.stack([axes[0][:, 0], axes[1][:, 0], axes[0][:, 1], axes[1][:, 1]], axis=1))
+
+
+def wrapped_degrees(angle: np.ndarray) -> np.ndarray:
+    """Return angles from -180 to 180 degrees, so that a flight may cross the date line."""
+    return (angle + 180) % 360 - 180
+
+
+def _flown(file: str | os.PathLike[str], start: float, duration: float) -> list[np.ndarray]:
+    """Return time, latitude, longitude, speed and track of the reports that count."""
+    table = read_table(file, REPORT)
+    time, latitude, longitude, speed, track = (table[name] for name in REPORT)
+    silent = (np.isnan(latitude) & np.isnan(longitude)) | (np.isnan(speed) & np.isnan(track))
+    for name, (low, high) in zip(REPORT, LIMITS, strict=True):
+        bad = ~silent & ~((table[name] >= low) & (table[name] <= high))
+        if bad.any():
+            row = int(np.argmax(bad))
+            given = "none" if np.isnan(table[name][row]) else f"{table[name][row]:g}"
+            checks.refuse(f"{table.source}: column {name!r}", f"a number between {low:g} and {high:g} in {table.place(row)}", given,
+                          "Take the row out, or leave all of its position or velocity empty.", checks.FileError)  # fmt: skip
+    heard = np.flatnonzero(~silent)
+    if heard.size < LEAST:
+        checks.refuse(table.source, f"at least {LEAST} reports of position and velocity", f"{heard.size} of {len(time)} rows",
+                      error=checks.FileError)  # fmt: skip
+    seconds = time[heard] / (MILLI if time[heard[0]] > LATEST else 1.0)
+    back = np.diff(seconds) < 0
+    if back.any():
+        row = heard[int(np.argmax(back)) + 1]
+        checks.refuse(f"{table.source}: column 'timestamp'", "times that never decrease", f"an earlier one in {table.place(row)}",
+                      "Sort the rows by time.", checks.FileError)  # fmt: skip
+    seconds = seconds - seconds[0]
+    kept = (seconds >= start) & (seconds <= start + duration)
+    kept[1:] &= (np.diff(latitude[heard]) != 0) | (np.diff(longitude[heard]) != 0)
+    if kept.sum() < LEAST:
+        checks.refuse(f"{table.source}", f"at least {LEAST} positions from second {start:g} to {start + duration:g}",
+                      f"{kept.sum()} in a recording of {seconds[-1]:.0f} s", "Set start and duration.", checks.FileError)  # fmt: skip
+    return [seconds[kept], *(column[heard][kept] for column in (latitude, longitude, speed, track))]
 
 
 def smoothed(times: np.ndarray, position: np.ndarray, speed: np.ndarray) -> np.ndarray:

@@ -15,6 +15,8 @@ from motes.models.terrain import TerrainMap
 REACH = 5.0
 """Standard deviations of the inertial position within which voids of the map count."""
 SEGMENTS = 50
+A_DEGREE = 1e3
+"""A unit of map coordinates with more meters than this is a degree."""
 
 
 def check_covered(
@@ -36,7 +38,7 @@ def check_covered(
     if on.all() or (terrain.beyond == "void" and on.any()):
         return
     height, width = terrain.size
-    unit = "meters" if terrain.scale == (1.0, 1.0) else "degrees"
+    unit = "meters" if max(terrain.scale) < A_DEGREE else "degrees"
     meant = (advice for advice, *other in misreadings if _inside(terrain, *other).mean() > max(0.5, on.mean()))
     checks.refuse(
         "map",

@@ -1,6 +1,5 @@
 """Flights: simulated over a map, or loaded from the user's files, and how well a run found the way."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +10,7 @@ import numpy as np
 from motes.applications.terrain_navigation.coverage import check_covered, over_map, without_far_voids
 from motes.applications.terrain_navigation.cruise import Cruise, cruise_of
 from motes.applications.terrain_navigation.model import Track, corrected, error_model
+from motes.applications.terrain_navigation.recording import check_recording, check_steps, check_units, local, misreadings, read_recording
 from motes.applications.terrain_navigation.settings import (
     FIRST,
     INERTIAL,
@@ -28,7 +28,6 @@ from motes.core.record import record, replace
 from motes.core.types import KeyLike
 from motes.filters.history import History
 from motes.io.rasters import jacksboro, mosaic, read_raster
-from motes.io.tables import read_table, times
 from motes.models.simulate import simulate
 from motes.models.state_space import StateSpaceModel
 from motes.models.terrain import TerrainMap, terrain_map
@@ -159,21 +158,17 @@ def load(
         FileError: a file is missing, damaged or lacks a column; the message names it.
         MotesError: times decrease, the track has gaps, the map does not cover it, or it is none for fifteen states.
     """
-    _check_recording(recording)
+    check_recording(recording)
     terrain = load_map(files)
-    timed = (recording.time,) if recording.time else ()
-    table = read_table(recording.file, [*timed, *recording.inertial, recording.height, *recording.truth])
+    table = read_recording(recording)
     name = Path(recording.file).name
-    for column in recording.inertial:
-        gaps = np.isnan(table[column])
-        if gaps.any():
-            checks.refuse(f"{name}: column {column!r}", "a number in every row (only the altimeter may miss)",
-                          f"none in row {int(np.argmax(gaps)) + 1}")
     rows = table[recording.height].size
-    seconds = times(table[recording.time], repeats=False)[1] if recording.time else np.arange(rows) * recording.step
+    seconds = table.times(recording.time, repeats=False)[1] if recording.time else np.arange(rows) * recording.step
     step, since = _spacing(seconds, recording.step)
-    north, east = _local(terrain, recording, table, recording.inertial)
-    check_covered(terrain, north, east, f"the inertial track in {name}", _misreadings(terrain, recording, table))
+    check_steps(name, seconds)
+    north, east = local(terrain, recording, table, recording.inertial)
+    check_covered(terrain, north, east, f"the inertial track in {name}", misreadings(terrain, recording, table))
+    check_units(terrain, recording, table, north, east, prior)
     altitude = table[recording.inertial[2]]
     dtype = terrain.heights.dtype
     inertial = Track(*(jnp.asarray(part, dtype) for part in (north, east, altitude)))
@@ -181,41 +176,9 @@ def load(
         inertial = replace(inertial, since=jnp.asarray(since, dtype))
     cruise = _cruise(kind, terrain, (north, east, altitude), seconds)
     model = without_far_voids(error_model(terrain, noises, prior, step, kind, cruise), inertial, noises.altimeter)
-    truth = jnp.asarray(np.stack(_local(terrain, recording, table, recording.truth), axis=1), dtype) if recording.truth else None
+    truth = jnp.asarray(np.stack(local(terrain, recording, table, recording.truth), axis=1), dtype) if recording.truth else None
     ys = over_map(terrain, inertial, jnp.asarray(table[recording.height][:, None], dtype))
     return Flight(model, terrain, ys, inertial, seconds, truth)
-
-
-def _check_recording(recording: Recording) -> None:
-    checks.option("data coordinates", recording.coordinates, ("local", "map"))
-    if not recording.file:
-        checks.refuse("data file", "a CSV or Parquet file", "none")
-    horizontal = "north or latitude, east or longitude"
-    if len(recording.inertial) != 3:
-        checks.refuse("data inertial", f"the names of three columns ({horizontal}, altitude)", list(recording.inertial))
-    if len(recording.truth) not in (0, 2):
-        checks.refuse("data truth", f"the names of two columns ({horizontal}) or none", list(recording.truth))
-    if not recording.time and not 0 < recording.step < np.inf:
-        checks.refuse("data step", "a positive number of seconds", recording.step)
-
-
-def _local(terrain: TerrainMap, recording: Recording, table: dict[str, Any], columns: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    north, east = table[columns[0]], table[columns[1]]
-    return (north, east) if recording.coordinates == "local" else terrain.to_local(north, east)
-
-
-def _misreadings(terrain: TerrainMap, recording: Recording, table: dict[str, Any]) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Return what a track off the map may have been meant to be: advice, north and east."""
-    one, two = recording.inertial[:2]
-    swapped = replace(recording, inertial=(two, one))
-    local = recording.coordinates == "local"
-    other = replace(recording, coordinates="map" if local else "local")
-    meant = "the map's own coordinates" if local else "meters from its south-west post"
-    return [
-        (f"{'North and east' if local else 'Latitude and longitude'} look swapped: exchange {one!r} and {two!r}.",
-         *_local(terrain, swapped, table, swapped.inertial)),
-        (f'They look like {meant}: set coordinates = "{other.coordinates}".', *_local(terrain, other, table, recording.inertial)),
-    ]
 
 
 def _spacing(seconds: np.ndarray, otherwise: float) -> tuple[float | None, np.ndarray | None]:

@@ -96,6 +96,7 @@ class Recording:
         time: name of the column of times, seconds or ISO 8601; "" where fixes are `step` apart.
         step: seconds between fixes where there is no column of times.
         truth: names of the columns of the true north (or latitude) and east (or longitude), for scoring; none if not known.
+        missing: a number that means "not measured", beside empty cells.
     """
 
     file: str = field(default="", metadata={"path": True})
@@ -105,6 +106,7 @@ class Recording:
     time: str = "time"
     step: float = 0.3
     truth: tuple[str, ...] = ()
+    missing: float | None = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,88 @@
+"""Tables in JSON, as pandas writes them: a list of records, or columns whose cells are numbered; and files zipped by gzip."""
+
+import json
+import os
+import re
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motes.io.columns import Columns, chosen_names, numbers
+from motes.io.files import foreign, label, reject
+
+JSON_START = re.compile(rb"\s*(\[\s*[{\]]|\{\s*[\"}])")
+LARGEST, PACKED = 1 << 25, 30
+"""Bytes that any file may unpack to, and how many times its own size beyond that."""
+
+
+def unzipped(path: str | os.PathLike[str], size: int) -> bytes:
+    """Return the content of a file zipped by gzip.
+
+    Raises:
+        FileError: it is damaged, or unpacks to so much that it was rather made to exhaust memory.
+    """
+    most = max(LARGEST, PACKED * size)
+    with foreign(path, "an undamaged gzip file"):
+        stream = zlib.decompressobj(wbits=31)
+        data = stream.decompress(Path(path).read_bytes(), most)
+        if stream.unconsumed_tail:
+            reject(path, f"at most {most} bytes unpacked from {size}", "more")
+        if not stream.eof or stream.unused_data:
+            reject(path, "an undamaged gzip file", "one that is cut short" if not stream.eof else "one with other data behind it")
+    return data
+
+
+def read_json(path: str | os.PathLike[str], data: bytes, wanted: list[str] | None) -> Columns:
+    """Read columns from a list of records, `[{"a": 1, "b": 2}, ...]`, or from columns, `{"a": {"0": 1, ...}, ...}` or `{"a": [1, ...]}`.
+
+    A null, or what a record lacks, is NaN.
+
+    Args:
+        path: the file, for messages.
+        data: its content.
+        wanted: names of the columns; all if None.
+
+    Raises:
+        FileError: the content is no such table, or a cell no number or time.
+    """
+    with foreign(path, "well-formed JSON in UTF-8"):
+        content = json.loads(data.decode("utf-8-sig"), object_pairs_hook=_without_doubles)
+    columns = _by_columns(path, content)
+    chosen = chosen_names(path, list(columns), wanted)
+    lengths = {len(columns[name]) for name in chosen}
+    if len(lengths) != 1 or 0 in lengths:
+        reject(path, "columns of one length, with at least one row", str(sorted(lengths))[:80] if chosen else "none")
+    rows = range(1, len(columns[chosen[0]]) + 1)
+    found = {name: _numbers(path, name, columns[name], rows, wanted is not None) for name in chosen}
+    return Columns(found, label(path), "row", rows)
+
+
+def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a name twice in one object")
+    return found
+
+
+def _by_columns(path: Any, content: Any) -> dict[str, list[Any]]:
+    if isinstance(content, list) and all(isinstance(record, dict) for record in content):
+        names = dict.fromkeys(name for record in content for name in record)
+        return {name: [record.get(name) for record in content] for name in names}
+    if isinstance(content, dict) and content and all(isinstance(column, list) for column in content.values()):
+        return content
+    if isinstance(content, dict) and content and all(isinstance(column, dict) for column in content.values()):
+        places = next(iter(content.values())).keys()
+        if all(column.keys() == places for column in content.values()):
+            return {name: [column[place] for place in places] for name, column in content.items()}
+    reject(path, "a list of records or a table of columns", "JSON of another form")
+
+
+def _numbers(path: Any, name: str, cells: list[Any], rows: range, asked: bool) -> np.ndarray:
+    if all(cell is None or type(cell) in (int, float) for cell in cells):
+        with foreign(path, f"numbers in column {name!r}"):
+            values = np.array([np.nan if cell is None else cell for cell in cells], np.float64)
+        if not np.isinf(values).any():
+            return values
+    return numbers(path, name, ["" if cell is None else str(cell)[:200] for cell in cells], rows, "row", asked)
