@@ -1,12 +1,15 @@
 """An airliner tracked by radar plots drawn from its recorded flight: smoother, model, and the trackers side by side over 20 seeds."""
 
+import gzip
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import motes as mo
-from data import recorded
+from data import recorded, refused
 from motes.applications.aircraft_tracking import scenario
 from motes.applications.aircraft_tracking.model import Flight, Radar, constant_velocity, jumping, turned, white_acceleration
 
@@ -97,3 +100,111 @@ def test_a_particle_filter_of_constant_velocity_is_lost_and_says_so(flights):
 
     lost, collapsed = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), 3), few)
     assert np.all(np.asarray(lost.worst) > scenario.LOST) and np.all(np.asarray(collapsed).sum(axis=1) > 100)
+
+
+# other people's recordings -------------------------------------------------------------------------------------------
+
+COLUMNS = ["timestamp", "latitude", "longitude", "groundspeed", "track"]
+
+
+def made_up(count=900, seed=3):
+    """Reports of a flight in racetracks at 5 s: seconds, degrees, knots, degrees from north."""
+    t = 1.7e9 + 5.0 * np.arange(count)
+    course = np.degrees(np.cumsum(np.where(np.arange(count) % 120 < 24, 0.13, 0.0)))
+    speed = np.full(count, 240.0)
+    north, east = (np.cumsum(5 * scenario.KNOT * speed * part(np.radians(course))) for part in (np.cos, np.sin))
+    jitter = np.random.default_rng(seed).normal(0, 15, (2, count))
+    latitude = 48 + np.degrees((north + jitter[0]) / scenario.EARTH)
+    longitude = 11 + np.degrees((east + jitter[1]) / scenario.EARTH / np.cos(np.radians(48)))
+    return dict(zip(COLUMNS, (t, latitude, longitude, speed, course % 360), strict=True))
+
+
+def in_csv(folder, reports, name="flight.csv"):
+    cells = ([("" if np.isnan(value) else repr(float(value))) for value in row] for row in zip(*reports.values(), strict=True))
+    lines = [",".join(reports), *map(",".join, cells)]
+    (folder / name).write_text("\n".join(lines) + "\n")
+    return folder / name
+
+
+def in_json(folder, reports, milliseconds=True):
+    scaled = {name: [None if np.isnan(value) else float(value) for value in values] for name, values in reports.items()}
+    if milliseconds:
+        scaled["timestamp"] = [1000 * value for value in scaled["timestamp"]]
+    rows = [dict(zip(scaled, row, strict=True)) for row in zip(*scaled.values(), strict=True)]
+    (folder / "flight.json.gz").write_bytes(gzip.compress(json.dumps(rows).encode()))
+    return folder / "flight.json.gz"
+
+
+ALL = {"start": 0.0, "duration": 1e5, "radar": (-30e3, 10e3)}
+
+
+def test_paths_are_the_same_in_all_forms_of_file(tmp_path):
+    reports = made_up()
+    table = scenario.read_path(in_csv(tmp_path, reports), **ALL)
+    for other in (in_json(tmp_path, reports), in_json(tmp_path, reports, milliseconds=False)):
+        for one, two in zip(table, scenario.read_path(other, **ALL), strict=True):
+            np.testing.assert_allclose(one, two, atol=1e-5)
+    silent = {name: values.copy() for name, values in reports.items()}
+    for names in (("latitude", "longitude"), ("groundspeed", "track")):
+        for name in names:
+            silent[name][100:103] = np.nan
+    assert len(scenario.read_path(in_csv(tmp_path, silent), **ALL).times) == len(table.times) - 3
+    whole, part = table, scenario.read_path(tmp_path / "flight.csv", 1000.0, 600.0, (-30e3, 10e3))
+    assert len(whole.times) == 897 + 3 and part.times[-1] == 600 and np.hypot(*np.median(part.states[:, :2], axis=0)) < 60e3
+
+
+def test_a_recorded_flight_is_the_same_in_json():
+    table, packed = (scenario.read_path(recorded(f"aircraft/adsb/belevingsvlucht.{form}")) for form in ("csv", "json.gz"))
+    np.testing.assert_allclose(table.states, packed.states, atol=1e-6)
+
+
+@pytest.mark.parametrize(("change", "settings", "words"), [
+    ({}, {}, ("second 556", "start and duration")),
+    ({"latitude": np.nan}, ALL, ("'latitude'", "line 12", "none")),
+    ({"track": np.nan}, ALL, ("'track'", "line 12", "none")),
+    ({"timestamp": np.nan}, ALL, ("'timestamp'", "line 12")),
+    ({"timestamp": 1.0}, ALL, ("'timestamp'", "line 12", "never decrease")),
+    ({"latitude": 480.0}, ALL, ("'latitude'", "480")),
+    ({"groundspeed": -9999.0}, ALL, ("'groundspeed'", "-9999")),
+    ({}, ALL | {"start": 1e4}, ("positions from second 10000",)),
+    ({}, ALL | {"duration": 0.0}, ("duration",)),
+    ({}, ALL | {"start": np.nan}, ("start",)),
+    ({}, ALL | {"radar": (np.inf, 0.0)}, ("radar east",)),
+])
+def test_recordings_that_cannot_be_flown_are_refused(tmp_path, change, settings, words):
+    reports = made_up(60)
+    for name, value in change.items():
+        reports[name][10] = value
+    with pytest.raises(mo.MotesError) as error:
+        scenario.read_path(in_csv(tmp_path, reports), **settings)
+    refused(error, *words)
+
+
+def mirrored(reports):
+    return reports | {"longitude": -reports["longitude"], "track": -reports["track"] % 360}
+
+
+SECOND = {
+    "first": lambda reports: reports,
+    "mirrored": mirrored,
+    "beyond the date line": lambda reports: reports | {"longitude": (reports["longitude"] - 11 + 180 + 180) % 360 - 180},
+    "cut": lambda reports: {name: values[200:] for name, values in reports.items()},
+    "resampled": lambda reports: {name: values[::2] for name, values in reports.items()},
+    "with outliers": lambda reports: reports | {"latitude": reports["latitude"] + 0.02 * (np.arange(900) % 97 == 50)},
+}
+
+
+@pytest.mark.optimized  # much to compute
+def test_second_recordings_are_as_good_as_the_first(tmp_path):
+    """The tracker's error on flights that were recorded in other ways, all in one program."""
+    paths = [scenario.read_path(in_csv(tmp_path, change(made_up())), **ALL) for change in SECOND.values()]
+    tracks = [scenario.track(path, 0, 700, Radar()) for path in paths]
+    flights = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *tracks)
+    filter = mo.JumpMarkovFilter(n=200, sampled=("turn",))
+
+    def one(key, track):
+        history = mo.run(key, filter, jumping(track.start, Flight(), Radar()), track.ys, track.dt, keep=mo.keep.means)
+        return scenario.score(history.mean, track)
+
+    found = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), len(paths)), flights)
+    assert np.all(np.asarray(found.worst) < 400) and np.all(np.asarray(found.position) < 60)

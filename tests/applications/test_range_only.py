@@ -4,12 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import recordings
 import scipy.io
 
 import motes as mo
 from data import recorded, refused
 from motes.applications.range_only import scenario as job
 from motes.applications.range_only.model import DriveNoise, Step
+from motes.core.record import replace
 from motes.io.matlab import read_matrices
 from motes.io.recordings import RangeOnlyRecording, read_plaza
 from motes.plotting.robot import robot_figure
@@ -256,3 +258,90 @@ def test_recorded_run(odometry, rms):
     found = _scores(jax.random.split(jax.random.key(2), 3), scenario)
     assert jnp.mean(found.rms) < rms and jnp.max(found.rms) < 1.1
     assert jnp.abs(jnp.mean(found.scale) - 0.0695) < 0.01
+
+
+# other people's recordings -------------------------------------------------------------------------------------------
+
+SECOND = {
+    "backward": recordings.backward,
+    "mirrored": lambda first: recordings.mirrored(recordings.backward(first)),
+    "rotated": recordings.rotated,
+    "cut": lambda first: recordings.cut(first, 20.0, 70.0),
+    "resampled": lambda first: recordings.resampled(first, 5),
+}
+
+
+def run(scenario, n=300, seed=1):
+    return mo.run(seed, mo.MarginalizedParticleFilter(n=n, linear=LINEAR), scenario.model, scenario.ys, scenario.inputs)
+
+
+@pytest.mark.parametrize("name", SECOND)
+def test_a_start_is_the_same_whatever_the_habits_of_the_recording(file, name):
+    first = read_plaza(file)
+    second = SECOND[name](first)
+    for turns in (second.odometry[:, 2], job.drifting_turns(second)):
+        made = job.scenario(second, turns)
+        gone = np.hypot(*(made.dead_reckoning[40:60] - made.truth[40:60, :2]).T) if name != "resampled" else np.zeros(1)
+        assert gone.max() < 0.5
+        assert np.isfinite(np.asarray(made.inputs.turn)).all()
+
+
+def test_a_backward_column_would_lose_the_track(file):
+    """The planted twin: the heading taken from the file, as it once was."""
+    second = recordings.backward(read_plaza(file))
+    made = job.scenario(second, second.odometry[:, 2])
+    assert abs(np.angle(np.exp(1j * (float(made.model.initial.mean()[2]) - second.truth[25, 3] - np.pi)))) < 0.1
+    wrong = made.model.initial.mean().at[2].set(second.truth[0, 3])
+    lost = replace(made, model=replace(made.model, initial=mo.Gaussian(wrong, made.model.initial.cov())))
+    assert job.score(run(lost), lost).rms > 3
+
+
+@pytest.mark.parametrize("name", ["mirrored", "cut"])
+def test_second_recordings_are_as_good_as_the_first(file, run_of_file, name):
+    second = SECOND[name](read_plaza(file))
+    made = job.scenario(second, job.drifting_turns(second))
+    history = run(made)
+    assert job.score(history, made).rms < 0.4
+    assert "beyond the prior" not in job.diagnosed(history, made)
+
+
+def test_outliers_are_a_setting(file):
+    second = recordings.with_outliers(read_plaza(file))
+    robust = job.scenario(second, job.drifting_turns(second), outliers=0.1)
+    assert robust.model.names[-1] == "clutter" and job.score(run(robust), robust).rms < 0.6
+    plain = job.scenario(second, job.drifting_turns(second))
+    assert job.score(run(plain), plain).rms > 1.0
+    for share in (-0.1, 0.6, np.nan):
+        with pytest.raises(mo.MotesError) as error:
+            job.load(file, outliers=share)
+        refused(error, "outliers")
+
+
+def test_an_unknown_start_is_a_setting(file):
+    for recording in (read_plaza(file), recordings.rotated(read_plaza(file))):
+        made = job.scenario(recording, job.drifting_turns(recording), start="unknown")
+        assert not made.counted.all() and made.counted.any()
+        place, sd = np.asarray(made.model.initial.mean())[:2], np.sqrt(np.diag(np.asarray(made.model.initial.cov())))[:2]
+        assert (np.abs(place - recording.truth[0, 1:3]) < 3 * sd).all() and sd.max() < 10
+    assert job.score(run(made, n=3000), made).rms < 0.6
+    with pytest.raises(mo.MotesError) as error:
+        job.load(file, start="somewhere")
+    refused(error, "start", "'somewhere'")
+
+
+def test_a_scale_that_the_prior_does_not_allow_is_a_finding(run_of_file):
+    scenario, history = run_of_file
+    assert "beyond the prior" not in job.diagnosed(history, scenario)
+    escaped = replace(history, kept={**history.kept, "mean": history.mean.at[-20:, 4].set(-1.11)})
+    found = job.diagnosed(escaped, scenario)
+    assert "beyond the prior" in found and not found.trusted and "scale" in str(found)
+
+
+@pytest.mark.optimized  # much to compute
+@pytest.mark.parametrize("name", [*SECOND, "with outliers"])
+def test_second_recordings_made_of_the_recorded_one(name):
+    first = read_plaza(recorded("robot/Plaza1_.mat"))
+    second = {**SECOND, "cut": lambda first: recordings.cut(first, 600.0, 1500.0), "with outliers": recordings.with_outliers}[name](first)
+    made = job.scenario(second, job.drifting_turns(second), outliers=0.1 * (name == "with outliers"))
+    history = run(made, n=300 if name != "with outliers" else 1000)
+    assert job.score(history, made).rms < 1.2 and job.diagnosed(history, made).trusted

@@ -20,6 +20,8 @@ class Demo:
     Attributes:
         data: the recording, a file such as Plaza1_.mat.
         odometry: "recorded" as in the file, or "drifting": turns from the drifting path, 20 m off on their own.
+        outliers: share of ranges that may be far off, such as 0.1; 0 for Gaussian errors.
+        start: "known", or "unknown": sought by the first ranges, and scored two minutes later; take 5 000 particles.
         n: number of particles.
         linear: states that a Kalman filter carries.
         seed: of the filter.
@@ -28,6 +30,8 @@ class Demo:
 
     data: str = field(default="", metadata={"path": True})
     odometry: Literal["recorded", "drifting"] = "recorded"
+    outliers: float = 0.0
+    start: Literal["known", "unknown"] = "known"
     n: int = 1_000
     linear: tuple[str, ...] = ("scale", "offset")
     seed: int = 0
@@ -56,7 +60,7 @@ def main(words: Sequence[str]) -> None:
     for module in ("matplotlib.figure", "xarray", "h5netcdf"):
         checks.need(module, "results")
     running.check_folder(settings.out)
-    scenario = job.load(settings.data, settings.odometry)
+    scenario = job.load(settings.data, settings.odometry, settings.outliers, settings.start)
     chosen = build(FilterChoice(n=settings.n, linear=settings.linear))
     ys = jax.numpy.asarray(scenario.ys)
     outcome = running.race(settings.seed, {"marginalized": chosen}, scenario.model, ys, scenario.inputs)["marginalized"]
@@ -77,4 +81,5 @@ def main(words: Sequence[str]) -> None:
     running.write_figure(folder / "robot.png", robot_figure(outcome.history, scenario))
     running.write_figure(folder / "states.png", plot(outcome.history))
     running.write_summary(folder / "summary.json", settings, found)
+    print(job.diagnosed(outcome.history, scenario))
     print(f"Results are in {folder}.")

@@ -10,18 +10,26 @@ Position and heading are nonlinear. The gyro's bias, the scale and the offset ar
 `mo.structure(model, one step's inputs)` offers them to the Kalman part, and the particles are left with where the robot is.
 """
 
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from motes.core.record import record
+from motes.core import checks
+from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.laws.conditional import AdditiveGaussian
 from motes.laws.law import Law
 from motes.models.state_space import StateSpaceModel
 
 STATES = ("px", "py", "heading", "gyro_bias", "scale", "offset")
+CLUTTER = "clutter"
+"""A seventh state where ranges have outliers: drawn anew at every step, it says whether a particle takes the step's ranges for some."""
+
+
+OUTLIER_SD = 10.0
+"""Meters."""
 
 
 class Step(NamedTuple):
@@ -39,8 +47,8 @@ class Step(NamedTuple):
 
 
 def drive(x: jax.Array, u: Step, t: Any) -> jax.Array:
-    """Move the robot by one step of its odometry, `(6,)`."""
-    px, py, heading, gyro_bias, scale, offset = x
+    """Move the robot by one step of its odometry, `(6,)`, or `(7,)` with outliers."""
+    px, py, heading, gyro_bias, scale, offset = x[:6]
     course = heading + u.turn / 2
     return jnp.array([
         px + u.forward * jnp.cos(course),
@@ -49,13 +57,15 @@ def drive(x: jax.Array, u: Step, t: Any) -> jax.Array:
         gyro_bias,
         scale,
         offset,
+        *([0.0] * (len(x) - 6)),
     ])
 
 
 @record
 class DriveNoise:
-    """Covariance `(6, 6)` of the noise of a step. It grows with time and distance, so a step that is cut in two has the same noise.
+    """Covariance `(6, 6)`, or `(7, 7)` with outliers, of the noise of a step.
 
+    It grows with time and distance, so a step that is cut in two has the same noise.
     Along and across the course the robot slips alike, so the covariance does not turn with the heading.
 
     Attributes:
@@ -76,7 +86,7 @@ class DriveNoise:
         """Return the covariance for the inputs of one step."""
         position = self.slip**2 * jnp.abs(u.forward) + self.jitter**2 * u.dt
         heading = self.heading**2 * u.dt + self.turn**2 * jnp.abs(u.turn)
-        return jnp.diag(jnp.array([position, position, heading, self.gyro**2 * u.dt, 0, 0]))
+        return jnp.diag(jnp.array([position, position, heading, self.gyro**2 * u.dt, 0, 0, *([1] * (len(x) - 6))]))
 
 
 @record
@@ -91,21 +101,50 @@ class Ranging:
 
     def __call__(self, x: jax.Array, u: Inputs, t: Any) -> jax.Array:
         """Return the ranges for one state."""
-        px, py, _, _, scale, offset = x
+        px, py, _, _, scale, offset = x[:6]
         return (1 + scale) * jnp.hypot(px - self.beacons[:, 0], py - self.beacons[:, 1]) + offset
 
 
-def range_only_model(beacons: jax.Array, initial: Law, range_sd: float, noise: DriveNoise) -> StateSpaceModel:
+@record
+class OutlierNoise:
+    """Covariance `(b, b)` of ranges of which a share are outliers: a mixture of two Gaussians, as the particle's clutter says.
+
+    Each particle weighs the ranges by the law that its clutter has drawn, so that all together weigh them by the mixture.
+
+    Attributes:
+        count: number of beacons b.
+        usual: standard deviation of a range, meters.
+        wide: that of an outlier, meters.
+        limit: clutter above it means an outlier.
+    """
+
+    count: int = static()
+    usual: float = 0.5
+    wide: float = 10.0
+    limit: float = 1.3
+
+    def __call__(self, x: jax.Array, u: Inputs, t: Any) -> jax.Array:
+        """Return the covariance for one state."""
+        return jnp.where(x[6] > self.limit, self.wide, self.usual) ** 2 * jnp.eye(self.count)
+
+
+def range_only_model(beacons: jax.Array, initial: Law, range_sd: float, noise: DriveNoise, outliers: float = 0.0) -> StateSpaceModel:
     """Build the model; its inputs are a `Step`.
 
     Args:
         beacons: places of the beacons, `(b, 2)`, meters; measurement i is the range to beacon i.
-        initial: law of the six states at the start.
+        initial: law of the six states at the start; of seven with outliers.
         range_sd: standard deviation of a range, meters.
         noise: noise of the odometry.
+        outliers: share of ranges that are outliers, with a standard deviation of `OUTLIER_SD`.
 
     Raises:
-        MotesError: a piece has the wrong shape.
+        MotesError: a piece has the wrong shape, or the share is none below one half.
     """
-    sensor = AdditiveGaussian(Ranging(jnp.asarray(beacons)), range_sd**2 * jnp.eye(len(beacons)))
-    return StateSpaceModel(initial, AdditiveGaussian(drive, noise), sensor, STATES)
+    ranging = Ranging(jnp.asarray(beacons))
+    if outliers == 0:
+        sensor = AdditiveGaussian(ranging, range_sd**2 * jnp.eye(len(beacons)))
+        return StateSpaceModel(initial, AdditiveGaussian(drive, noise), sensor, STATES)
+    checks.above_zero("outliers", outliers, 0.5)
+    mixed = OutlierNoise(len(beacons), range_sd, OUTLIER_SD, NormalDist().inv_cdf(1 - outliers))
+    return StateSpaceModel(initial, AdditiveGaussian(drive, noise), AdditiveGaussian(ranging, mixed), (*STATES, CLUTTER))
