@@ -180,6 +180,13 @@ def test_recordings_that_cannot_be_flown_are_refused(tmp_path, change, settings,
     refused(error, *words)
 
 
+def test_a_path_without_a_scored_plot_is_refused(tmp_path):
+    path = scenario.read_path(in_csv(tmp_path, made_up(12)), **ALL)
+    with pytest.raises(mo.MotesError) as error:
+        scenario.track(scenario.Path(path.times[:5], path.states[:5]), 0, 50, Radar())
+    refused(error, "track path", "20 s")
+
+
 def mirrored(reports):
     return reports | {"longitude": -reports["longitude"], "track": -reports["track"] % 360}
 

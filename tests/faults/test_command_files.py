@@ -117,7 +117,7 @@ def test_meters_and_named_marks_of_missing_numbers_are_taken(flight, folder):
     ('height = "height"', 'height = "ins_altitude"', ("'ins_altitude'", "two of them")),
     ('["ins_north", "ins_east", "ins_altitude"]', '["ins_north", "ins_north", "ins_altitude"]', ("'ins_north'",)),
     ('time = "time"', 'time = "height"', ("'height'",)),
-    ('time = "time"', 'time = ""\nstep = 1e15', ("data step", "1e+15")),
+    ('time = "time"', 'time = ""\nstep = 1e15', ("data step", "1000000000000000")),
     ('out = "run"', 'out = ""', ("out", "none")),
     ('out = "run"', 'out = "a\\u0000b"', ("out",)),
     ('out = "run"', 'out = "~nobody-of-that-name/x"', ("home folder",)),

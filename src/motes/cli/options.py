@@ -14,6 +14,7 @@ from typing import Any, NoReturn, TypeVar
 
 Settings = TypeVar("Settings")
 LARGEST = 1 << 20
+DOTS = 3000
 LARGEST_WHOLE = 10**300
 KINDS = {int: "a whole number", float: "a number", str: "text in quotes", bool: "true or false", tuple: "a list of texts"}
 
@@ -83,7 +84,11 @@ def from_toml(kind: type[Settings], path: str) -> Settings:
     if size > LARGEST:
         reject(path, f"a TOML file of at most {LARGEST} bytes", f"{size} bytes")
     with foreign(path, "a TOML file"):
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        text = Path(path).read_text(encoding="utf-8-sig")
+        # the parser takes time and memory with the square of the parts of a key
+        if text.count(".") > DOTS:
+            reject(path, f"a TOML file with at most {DOTS} points", text.count("."))
+        table = tomllib.loads(text)
     return _filled(kind, table, Path(path), "")
 
 

@@ -18,10 +18,14 @@ def zipped_name(path: str | os.PathLike[str]) -> str | None:
     """Return the name of the HGT tile in a zip archive; None where there is none.
 
     Raises:
-        FileError: the archive is damaged, or holds several tiles.
+        FileError: the archive is damaged, or holds several tiles, or neither a tile nor an array.
     """
     with foreign(path, "an undamaged zip archive"), zipfile.ZipFile(path) as archive:
-        found = [name for name in archive.namelist() if name.lower().endswith(SUFFIX)]
+        names = archive.namelist()
+    found = [name for name in names if name.lower().endswith(SUFFIX)]
+    if not found and not any(name.endswith(".npy") for name in names):
+        expected = "an npz map with an array 'elevation', or an HGT tile, in the archive"
+        reject(path, expected, ", ".join(names)[:160] or "nothing", "Unpack it.")
     if len(found) > 1:
         reject(path, "one HGT tile in the archive", f"{len(found)}: {', '.join(found)[:120]}", "Unpack it and name the tiles.")
     return found[0] if found else None

@@ -12,9 +12,11 @@ import numpy as np
 from motes.io.columns import Columns, chosen_names, numbers
 from motes.io.files import foreign, label, reject
 
-JSON_START = re.compile(rb"\s*(\[\s*[{\]]|\{\s*[\"}])")
+JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(\[\s*[{\]]|\{\s*[\"}])")
 LARGEST, PACKED = 1 << 25, 30
 """Bytes that any file may unpack to, and how many times its own size beyond that."""
+RECORDS, VALUES = 1_000_000, 5_000_000
+"""Records and numbers of a JSON file at most: each takes many times its length in memory."""
 
 
 def unzipped(path: str | os.PathLike[str], size: int) -> bytes:
@@ -47,6 +49,9 @@ def read_json(path: str | os.PathLike[str], data: bytes, wanted: list[str] | Non
     Raises:
         FileError: the content is no such table, or a cell no number or time.
     """
+    for mark, most, what in ((b"{", RECORDS, "records"), (b",", VALUES, "numbers")):
+        if data.count(mark) > most:
+            reject(path, f"at most {most} {what} in JSON", data.count(mark), "Write the table as CSV or Parquet.")
     with foreign(path, "well-formed JSON in UTF-8"):
         content = json.loads(data.decode("utf-8-sig"), object_pairs_hook=_without_doubles)
     columns = _by_columns(path, content)

@@ -20,6 +20,8 @@ ORDERS = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}
 """Version and byte order at the end of the header."""
 LARGEST = 256 * 2**20
 """Bytes of a file, or of one variable of it, at most."""
+UNPACKED, PACKED, NUMBERS = 2**26, 100, 2**23
+"""Bytes that any compressed variable may have, how many times its packed size beyond that, and the numbers that any matrix may have."""
 MATRIX, COMPRESSED = 14, 15
 STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 CLASSES = dict(enumerate("cell struct object char sparse double single int8 uint8 int16 uint16 int32 uint32 int64 uint64".split(), 1))
@@ -63,7 +65,7 @@ def read_matrices(path: str | os.PathLike[str], widths: Mapping[str, int]) -> di
             if variable.name in found:
                 reject(path, "variables of different names", f"{variable.name} twice")
             if variable.name in widths:
-                _check(path, variable, widths[variable.name])
+                _check(path, variable, widths[variable.name], max(NUMBERS, size))
                 found[variable.name] = _numbers(variable, order)
             else:
                 others.append(variable.name)
@@ -77,11 +79,13 @@ def read_matrices(path: str | os.PathLike[str], widths: Mapping[str, int]) -> di
     return found
 
 
-def _check(path: str | os.PathLike[str], variable: _Variable, width: int) -> None:
+def _check(path: str | os.PathLike[str], variable: _Variable, width: int, most: int) -> None:
     name, kind, shape, _ = variable
     given = ("complex " if kind & COMPLEX else "") + CLASSES.get(kind & 0xFF, "another class")
     if kind & COMPLEX or kind & 0xFF not in NUMERIC or len(shape) != 2 or shape[1] != width or shape[0] < 1:
         reject(path, f"{name} as a matrix of real numbers with {width} columns", f"{given} of shape {shape}")
+    if shape[0] * width > most:
+        reject(path, f"at most {most} numbers in {name}", f"{shape[0]} rows of {width}")
 
 
 def _variables(data: memoryview, order: str) -> Iterator[_Variable]:
@@ -97,9 +101,10 @@ def _variables(data: memoryview, order: str) -> Iterator[_Variable]:
 
 def _inflated(body: memoryview) -> memoryview:
     stream = zlib.decompressobj()
-    data = stream.decompress(body, LARGEST)
+    most = min(LARGEST, max(UNPACKED, PACKED * len(body)))
+    data = stream.decompress(body, most)
     if not stream.eof:
-        raise ValueError(f"a compressed variable that is cut short or has more than {LARGEST} bytes")
+        raise ValueError(f"a compressed variable that is cut short or has more than {most} bytes")
     return memoryview(data)
 
 

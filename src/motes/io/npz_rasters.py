@@ -6,7 +6,7 @@ import os
 import numpy as np
 
 from motes.io.files import label, reject
-from motes.io.members import Members, opened
+from motes.io.members import LARGEST, PACKED, Members, opened, too_large
 from motes.io.raster_headers import check_size
 
 
@@ -28,6 +28,9 @@ def read_npz(path: str | os.PathLike[str], largest: int) -> tuple[np.ndarray, fl
     """
     name = label(path)
     with opened(path, "an undamaged npz archive") as members:
+        full, packed = members.sizes
+        if too_large(full, packed):
+            reject(name, f"at most {LARGEST} bytes, or {PACKED} times those of the file, when unpacked", f"{full} bytes")
         form = members.form("elevation")
         if len(form.shape) != 2 or form.dtype.kind not in "iuf":
             reject(name, "a matrix of real numbers as 'elevation'", f"{form.dtype} of shape {form.shape}")

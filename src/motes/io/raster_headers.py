@@ -33,7 +33,8 @@ def kind_of(name: str, file_name: str, start: bytes) -> str:
         return "DTED"
     if file_name.lower().endswith(".hgt"):
         return "HGT"
-    reject(name, "a DTED, GeoTIFF, HGT or npz raster by its first bytes", f"a file that starts with {start[:8]!r}")
+    reject(name, "a DTED, GeoTIFF, HGT or npz raster by its first bytes", f"a file that starts with {start[:8]!r}",
+           "Unpack it first." if start[:2] == b"\x1f\x8b" else "")  # fmt: skip
 
 
 def check_size(name: str, rows: int, columns: int, largest: int) -> None:

@@ -19,9 +19,10 @@ from motes.io.instants import times as times
 from motes.io.json_tables import JSON_START, read_json, unzipped
 
 DELIMITERS = ",;\t"
-COMMENTS = re.compile("(?:#[^\r\n]*(?:\r\n|\r|\n))+")
+LINE_END = re.compile("\r\n|\r|\n")
 _DECIMAL_COMMA = "If commas stand for decimal points, write points, or separate columns by semicolons and write points."
 LARGEST = 20_000_000
+WIDEST = 100_000
 GZIP = b"\x1f\x8b"
 
 
@@ -65,6 +66,8 @@ def _read_csv(path: str | os.PathLike[str], data: bytes, wanted: list[str] | Non
         delimiter = max(DELIMITERS, key=lambda mark: len(next(csv.reader([first], delimiter=mark))))
         rows = csv.reader(io.StringIO(rest, newline=""), delimiter=delimiter, strict=True)
         names = [name.strip() for name in next(rows)]
+        if len(names) > WIDEST:
+            reject(path, f"at most {WIDEST} columns", len(names))
         if all(is_number(name) for name in names):
             hint = "Take the # off the line of names." if skipped else "Add a line of names."
             reject(path, "a line of column names", f"numbers in line {skipped + 1}: {first[:60]!r}", hint)
@@ -80,9 +83,11 @@ def _read_csv(path: str | os.PathLike[str], data: bytes, wanted: list[str] | Non
 
 def _without_comments(text: str) -> tuple[int, str]:
     """Return how many lines of comments a text begins with, and what comes after them."""
-    found = COMMENTS.match(text)
-    start = text[: found.end()] if found else ""
-    return len(re.findall("\r\n|\r|\n", start)), text[len(start) :]
+    at, count = 0, 0
+    while text.startswith("#", at):
+        end = LINE_END.search(text, at)
+        at, count = (end.end() if end else len(text)), count + 1
+    return count, text[at:]
 
 
 def _text(path: str | os.PathLike[str], data: bytes) -> str:

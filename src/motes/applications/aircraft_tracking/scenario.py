@@ -179,7 +179,11 @@ def track(path: Path, seed: int, steps: int, radar: Radar) -> Track:
         seed: of the plots.
         steps: number of steps; 1 800 reach the end of 80 minutes.
         radar: accuracy of the plots.
+
+    Raises:
+        MotesError: the path is too short for a plot that is scored.
     """
+    checks.positive_integer("track steps", steps)
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.uniform(1, 5, steps + 1))
     states = np.stack([np.interp(times, path.times, column) for column in path.states.T], axis=1)
@@ -194,6 +198,8 @@ def track(path: Path, seed: int, steps: int, radar: Radar) -> Track:
     ys = np.where(seen[1:, None], np.stack([distance, azimuth], axis=1)[1:], np.nan)
     ys[0] = np.nan
     scored = seen[1:] & (np.arange(steps) >= UNSCORED)
+    if not scored.any():
+        checks.refuse("track path", f"one that lasts for more than {UNSCORED} plots (5 s each at most)", f"{path.times[-1]:.0f} s")
     kind = jnp.result_type(float)
     start = Gaussian(jnp.asarray(mean, kind), jnp.asarray(cov, kind))
     return Track(start, ys.astype(kind), np.diff(times).astype(kind), states[1:].astype(kind), scored)

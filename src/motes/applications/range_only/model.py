@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks
-from motes.core.record import record, static
+from motes.core.record import record, replace, static
 from motes.core.types import Inputs
 from motes.laws.conditional import AdditiveGaussian
 from motes.laws.law import Law
@@ -74,6 +74,7 @@ class DriveNoise:
         heading: radians per square root of a second.
         turn: heading, radians per square root of a radian turned.
         gyro: walk of the gyro's bias, radians per second per square root of a second.
+        clutter: whether there is a seventh state, drawn anew at every step.
     """
 
     slip: float = 0.05
@@ -81,12 +82,13 @@ class DriveNoise:
     heading: float = 0.005
     turn: float = 0.02
     gyro: float = 1e-5
+    clutter: bool = static(default=False)
 
     def __call__(self, x: jax.Array, u: Step, t: Any) -> jax.Array:
         """Return the covariance for the inputs of one step."""
         position = self.slip**2 * jnp.abs(u.forward) + self.jitter**2 * u.dt
         heading = self.heading**2 * u.dt + self.turn**2 * jnp.abs(u.turn)
-        return jnp.diag(jnp.array([position, position, heading, self.gyro**2 * u.dt, 0, 0, *([1] * (len(x) - 6))]))
+        return jnp.diag(jnp.array([position, position, heading, self.gyro**2 * u.dt, 0, 0, *([1] * self.clutter)]))
 
 
 @record
@@ -147,4 +149,5 @@ def range_only_model(beacons: jax.Array, initial: Law, range_sd: float, noise: D
         return StateSpaceModel(initial, AdditiveGaussian(drive, noise), sensor, STATES)
     checks.above_zero("outliers", outliers, 0.5)
     mixed = OutlierNoise(len(beacons), range_sd, OUTLIER_SD, NormalDist().inv_cdf(1 - outliers))
-    return StateSpaceModel(initial, AdditiveGaussian(drive, noise), AdditiveGaussian(ranging, mixed), (*STATES, CLUTTER))
+    dynamics = AdditiveGaussian(drive, replace(noise, clutter=True))
+    return StateSpaceModel(initial, dynamics, AdditiveGaussian(ranging, mixed), (*STATES, CLUTTER))

@@ -17,7 +17,7 @@ ALTITUDES, HEIGHTS = (-1e3, 1e6), (-500.0, 1e5)
 LONGEST = 1e5
 """Seconds between fixes: a day is a recording of something else, or in milliseconds."""
 FEET = 0.3048
-FAR_OFF, NEAR = 3.0, 0.25
+FAR_OFF, NEAR = 3.0, 0.5
 """Heights that contradict the map by so many standard deviations are looked at in feet, which must leave at most this share of the gap."""
 
 
@@ -145,7 +145,7 @@ def check_units(terrain: TerrainMap, recording: Recording, table: Columns, north
     as_said = gaps.pop("")
     meant = min(gaps, key=lambda what: gaps[what])
     # the track is beside the true one, so that the ground below is another piece of the same relief
-    usual = prior.vertical_position + float(np.nanstd(np.asarray(terrain.heights)))
+    usual = prior.vertical_position + float(np.nanstd(np.asarray(terrain.heights))) / 2
     if as_said > FAR_OFF * usual and gaps[meant] < NEAR * as_said:
         checks.refuse(f"{table.source}: heights", "meters that agree with the map", f"{as_said:.0f} m of contradiction at the median fix",
                       f"{meant} like feet: multiply by {FEET}.", checks.FileError)  # fmt: skip
