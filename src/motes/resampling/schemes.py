@@ -120,7 +120,9 @@ def boundaries(log_weights: jax.Array, n: int) -> Boundaries:
     before_part = within[:, -1] - before_whole
     carried = jnp.cumsum(before_whole.astype(jnp.int32)) - before_whole.astype(jnp.int32)
     part = within + (jnp.cumsum(before_part) - before_part)[:, None]
-    whole = jnp.cumsum(floors.astype(jnp.int32)) + jnp.repeat(carried, _BLOCK, total_repeat_length=blocks * _BLOCK)[:count]
+    # not jnp.repeat: compilers work out the index that it sums up for every particle, which takes them minutes for ten million
+    carried = jnp.broadcast_to(carried[:, None], (blocks, _BLOCK)).reshape(-1)[:count]
+    whole = jnp.cumsum(floors.astype(jnp.int32)) + carried
     part = part.reshape(-1)[:count]
     # rounding of n w leaves the sum a little off n: spread in proportion, or the last particle would get it all
     missing = (n - whole[-1]) - part[-1]
