@@ -69,3 +69,38 @@ def test_figure_is_drawn(benchmarks, results, tmp_path):
 
     draw(results, tmp_path / "results.png")
     assert (tmp_path / "results.png").stat().st_size > 1_000
+
+
+def test_dry_run_of_an_accelerator(benchmarks, monkeypatch, tmp_path):
+    import gpu
+
+    monkeypatch.setattr(sys, "argv", ["gpu.py", "--dry", "--out", str(tmp_path)])
+    gpu.main()
+    text = (tmp_path / "GPU.md").read_text()
+    assert "| random words | equal | equal |" in text and "a dry run" in text
+    assert not any(mark in text for mark in ("**differ", "too much", "Error")), text
+    for words in ("radar, float64", "cumulative weights", "normal numbers"):
+        assert f"\n| {words} |" in text
+
+
+def test_what_a_device_computes_otherwise_is_told(benchmarks, tmp_path):
+    import gpu
+    import numpy as np
+
+    class Wrong:
+        """A device whose random words, normal numbers and runs are not those of the CPU."""
+
+        dry = True
+
+        def ask(self, engine, task):
+            np.save(tmp_path / engine, np.ones(5, np.float32) * (2 if engine == "device" else 1))
+            return dict.fromkeys(gpu.LIMITS, 1e-6) | {"random words": engine, "uniform numbers": 1, "normals": tmp_path / f"{engine}.npy"}
+
+        def measured(self, row, variables):
+            return {"device": {"values": [1.0, 1.1]}, "CPU": {"values": [9.0, 9.1]}}
+
+    lines = dict(line[:2] for line in gpu.same(Wrong(), 500))
+    assert lines["random words"] == "**differ**" and lines["uniform numbers"] == "equal"
+    wrong = [name for name, found in lines.items() if "too much" in found]
+    assert wrong == ["normal numbers, units in the last place", *gpu.STEPS]
+    assert gpu.agreement({"values": [1.0, 1.1]}, {"values": [9.0, 9.1]}).endswith("**differs**")

@@ -37,6 +37,11 @@ def chosen() -> str:
     return name
 
 
+def accelerated() -> bool:
+    """Tell whether JAX works on an accelerator: there a number is sooner worked out again than read from memory, and sums run in trees."""
+    return jax.default_backend() != "cpu"
+
+
 def using(name: str) -> AbstractContextManager[None]:
     """Choose an engine for what is called inside a `with` block.
 

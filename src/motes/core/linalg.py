@@ -11,7 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import Precision
 
+from motes.core import engine
+
 _EXACT = Precision.HIGHEST
+_MOST_ENTRIES = 256
 
 
 def _align(a: jax.Array, b: jax.Array, small_axes: int) -> tuple[jax.Array, jax.Array]:
@@ -45,10 +48,17 @@ def product_transposed(a: jax.Array, b: jax.Array) -> jax.Array:
 def times_vector(a: jax.Array, v: jax.Array) -> jax.Array:
     """A v: `(i, j, *n)` and `(j, *n)` give `(i, *n)`."""
     if a.ndim == 2:
-        return jnp.matmul(a, v, precision=_EXACT)
+        thin = v.ndim == 2 and 0 < a.size <= _MOST_ENTRIES
+        return _by_rows(a, v) if thin and engine.accelerated() else jnp.matmul(a, v, precision=_EXACT)
     a, v = _align(a, v, 1)
     start = jnp.zeros((a.shape[0], *v.shape[1:]), a.dtype)
     return total([a[:, j] * v[j] for j in range(a.shape[1])], start)
+
+
+def _by_rows(a: jax.Array, v: jax.Array) -> jax.Array:
+    """A v row by row: libraries for accelerators take twice as long over so thin a product. The barrier makes one kernel of the rows."""
+    rows = [total([a[i, j] * v[j] for j in range(a.shape[1])], v[0]) for i in range(a.shape[0])]
+    return jnp.stack(jax.lax.optimization_barrier(rows))
 
 
 def total(terms: list[jax.Array], start: jax.Array) -> jax.Array:

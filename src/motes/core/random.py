@@ -127,10 +127,15 @@ def normal_block(key: jax.Array, rows: int, n: int) -> jax.Array:
     if 0 < pairs <= _ROWS_APART:
         # row by row: compilers then share the rows out over threads, a quarter faster than one block
         lines = [word for pair in range(pairs) for word in _words(key, (n,), np.uint32(pair))]
-        return jax.lax.optimization_barrier(jnp.stack([_to_normal(line) for line in lines[:rows]]))
+        return _held(jnp.stack([_to_normal(line) for line in lines[:rows]]))
     first, second = _words(key, (pairs, n))
     bits = jnp.stack([first, second], axis=1).reshape(-1, n)[:rows]
-    return jax.lax.optimization_barrier(_to_normal(bits))
+    return _held(_to_normal(bits))
+
+
+def _held(numbers: Any) -> Any:
+    """Keep compilers from working numbers out again in every loop that uses them; on an accelerator that is the faster way."""
+    return numbers if engine.accelerated() else jax.lax.optimization_barrier(numbers)
 
 
 _LOG = (-0.101022407, 0.164199948, -0.173334658, 0.198730454, -0.249593437, 0.333361834, -0.500006676, 0.999999821)
@@ -189,8 +194,7 @@ def _words(key: jax.Array, shape: tuple[int, ...], tag: np.uint32 = np.uint32(0)
     counters = jnp.arange(shape[-1], dtype=jnp.uint32)[None, :]
     lines = jnp.arange(rows, dtype=jnp.uint32)[:, None] ^ tag
     words = _threefry(key[0], key[1], jnp.broadcast_to(counters, (rows, shape[-1])), lines)
-    # without barriers, here and behind the normal numbers, compilers work them out again in every loop that uses them
-    first, second = jax.lax.optimization_barrier(words)
+    first, second = _held(words)
     return first.reshape(shape), second.reshape(shape)
 
 
