@@ -31,8 +31,10 @@ TRAFFIC = 72
 read again, weights and ancestors written and read."""
 STEPS = ("log likelihood, one step", "log likelihood, two steps, resampled between")
 LIMITS = {"normal numbers, units in the last place": 4, "children beyond n w": 1.01, "mean, in standard deviations": 1e-5,
-          "covariance, relative": 1e-5, STEPS[0]: 2e-5, STEPS[1]: 2e-4}  # fmt: skip
-"""The largest difference from the CPU (from float64 and from n w in the three in the middle) that counts as agreement."""
+          "covariance, relative": 1e-5, STEPS[0]: 2e-5, STEPS[1]: 1e-3}  # fmt: skip
+"""The largest difference from the CPU (from float64 and from n w in the three in the middle) that counts as agreement. Ends of shares are
+right to about 1e-3 children, so that after resampling a few particles in a thousand may have a neighbor's ancestor: of 100 000 particles, a
+tenth of the sampling error or so."""
 MOST, MOST_ON_CPU = 10_000_000, 2e8
 ENGINES = ("device", "CPU", "CPU, native")
 DOUBLE = {"JAX_ENABLE_X64": "1"}

@@ -38,7 +38,7 @@ def chosen() -> str:
 
 
 def accelerated() -> bool:
-    """Tell whether JAX works on an accelerator: there a number is sooner worked out again than read from memory, and sums run in trees."""
+    """Tell whether JAX works on an accelerator, whose libraries are slow over thin products, and whose sums run in trees."""
     return jax.default_backend() != "cpu"
 
 
