@@ -19,6 +19,7 @@ import pytest
 import motes as mo
 import motes.smoothers
 from motes.core.record import replace
+from motes.diagnostics import undeclared
 from motes.laws import circular, cloud
 from motes.smoothers.interface import Smoother
 
@@ -312,3 +313,45 @@ def test_what_cannot_be_is_refused():
 
 def replace_circular(circular):
     return mo.MixedLinearModel(MIXED.initial_p, MIXED.initial_k, mixed, MIXED.kalman, MIXED.sensor, circular=circular)
+
+
+CUTS = {"(-pi, pi]": wrapped, "[0, 2 pi)": lambda h: h % TURN, "nowhere": lambda h: h}
+
+
+def diagnosed(filter, cut, angles=()):
+    model = model_of(lambda x, u, t: jnp.array([0.9 * x[0] + jnp.sin(x[1]), CUTS[cut](x[1] + 0.15)]), angles)
+    ys = np.array(mo.simulate(1, model, 80)[1])
+    ys[:, 1] = wrapped(ys[:, 1])
+    return mo.diagnose(mo.run(1, filter, model, ys))
+
+
+@pytest.mark.parametrize("cut", CUTS)
+def test_a_heading_that_is_wrapped_and_not_declared_is_told(cut):
+    found = diagnosed(CLOUD, cut)
+    assert ("undeclared angle" in found) == (cut != "nowhere")
+    if cut != "nowhere":
+        assert not found.trusted
+        assert "b looks like an angle" in str(found)
+        assert "angles=(1,)" in str(found)
+        # a Gaussian is never torn, but nobody knows its errors
+        assert "undeclared angle" in diagnosed(mo.ExtendedKalmanFilter(), cut)
+        assert "undeclared angle" not in diagnosed(CLOUD, cut, (1,))
+
+
+def test_few_states_that_are_no_angles_look_like_one():
+    """Kalman estimates of walks about the size of a turn; at most one of 300 may be mistaken."""
+    rng, mistaken = np.random.default_rng(0), 0
+    for _ in range(600):
+        a, q = rng.choice([0.5, 0.9, 0.99, 1.0]), 10 ** rng.uniform(-2, 0.5)
+        r, truth, mean, var, means, deviations = q * 10 ** rng.uniform(-1, 1.5), rng.normal() * rng.choice([1, 3, 10]), 0.0, 1e2, [], []
+        for t in range(200):
+            truth = a * truth + q * rng.normal()
+            mean, var = a * mean, a * a * var + q * q
+            if rng.random() < 0.7 or not t:
+                gain = var / (var + r * r)
+                mean, var = mean + gain * (truth + r * rng.normal() - mean), (1 - gain) * var
+            means.append(mean)
+            deviations.append(var**0.5)
+        steps, _ = undeclared._crossings(np.array(means), np.array(deviations))
+        mistaken += bool(steps.size)
+    assert mistaken <= 2

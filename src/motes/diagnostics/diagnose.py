@@ -8,6 +8,7 @@ import numpy as np
 from motes.core import checks
 from motes.core.findings import Diagnosis, Finding
 from motes.diagnostics.consistency import chi_square_band, nees
+from motes.diagnostics.undeclared import undeclared_angles
 from motes.diagnostics.weights import TRUSTED, pareto_k, surviving
 from motes.filters.history import History
 
@@ -27,8 +28,8 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     """Judge a run and say in words what is wrong and what to try.
 
     Looks for collapse and surprise (the measurements lie far from all particles), starvation and low effective sample sizes, likelihoods
-    that are not numbers; in runs with kept laws at heavy-tailed weights and degenerate paths; with the truth at covariances too small or
-    too large.
+    that are not numbers; at states that look like angles which nobody declared; in runs with kept laws at heavy-tailed weights and
+    degenerate paths; with the truth at covariances too small or too large.
 
     Args:
         history: of a run. With `keep=mo.keep.laws` more can be seen.
@@ -41,6 +42,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     if not isinstance(history, History):
         checks.refuse("diagnose history", "what mo.run gave", type(history).__name__)
     found = [_collapse(history), *_surprise(history), *_weights(history), _invalid(history)]
+    found.append(undeclared_angles(history))
     if "law" in history.kept:
         found += _laws(history)
     if truth is not None:

@@ -159,8 +159,9 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         def resampled(law: Mixture) -> Mixture:
             return evolve(keys, self.scheme, self.policy, law, self.kernels.fitted(law, model.nonlinear))
 
+        due = t % self.every == 0
         moved = evolve(keys, self.scheme, Never(), state, move).gathered(model.circular)
-        return jax.lax.cond(t % self.every == 0, resampled, lambda law: law, moved)
+        return jax.lax.cond(due, resampled, lambda law: law, moved)
 
     def correct(self, key: jax.Array, model: LocalModel, state: Mixture, y: jax.Array, u: Any, t: Any) -> tuple[Mixture, Info]:
         """Correct each kernel by y, and weigh it by its predictive density of y."""
