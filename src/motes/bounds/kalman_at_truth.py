@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from motes.bounds.bound import Bound
 from motes.core import checks
+from motes.core.compiling import jitted
 from motes.core.types import Inputs
 from motes.filters.needs import as_state_space
 from motes.laws.gaussian import Gaussian
@@ -49,7 +50,7 @@ def kalman_at_truth(model: Any, xs: jax.Array, inputs: Inputs = None) -> Bound:
     return Bound(_covariances(canonical(model, jax.tree.map(one_of, inputs)), xs, inputs), given.names, KIND)
 
 
-@jax.jit
+@jitted
 def _covariances(given: Any, xs: jax.Array, inputs: Inputs) -> jax.Array:
     model: StateSpaceModel = as_state_space("kalman_at_truth", given)
     model.check(at_step(inputs, 0))

@@ -22,6 +22,7 @@ import numpy as np
 
 from motes.bounds.bound import Bound
 from motes.core import checks, linalg, random
+from motes.core.compiling import jitted
 from motes.core.types import Inputs, KeyLike
 from motes.filters.needs import as_state_space
 from motes.laws.conditional import AdditiveGaussian, Conditional
@@ -89,7 +90,7 @@ def _check_model(model: Any) -> tuple[str, ...]:
     return given.names
 
 
-@partial(jax.jit, static_argnums=(2, 3))
+@partial(jitted, static_argnums=(2, 3))
 def _recursion(key: jax.Array, given: Any, steps: int, trajectories: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
     """Return the bounds `(t, x, x)` and the first fault so far `(t,)`."""
     model: StateSpaceModel = as_state_space("posterior_cramer_rao", given)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, linalg
+from motes.core.compiling import jitted
 from motes.core.logspace import RunningSum
 from motes.core.record import replace
 from motes.core.types import Inputs
@@ -53,7 +54,7 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
     return history
 
 
-@jax.jit
+@jitted
 def _run(model: Any, ys: jax.Array, inputs: Inputs) -> History:
     model, told = driven(model, inputs, ys)
     model = as_linear_model("run_in_parallel", model, at_step(told, 0))

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
+from motes.core.compiling import jitted
 from motes.core.logspace import RunningSum
 from motes.core.record import replace, values
 from motes.core.types import Inputs, KeyLike
@@ -87,7 +88,7 @@ def run_in_chunks(
         yield part
 
 
-@partial(jax.jit, static_argnames=("keep",))
+@partial(jitted, static_argnames=("keep",))
 def _run(key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
     with report.collected() as notes:
         history = _scanned(Engine(random.as_key(key), filter, model), ys, inputs, keep, first)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
+from motes.core.compiling import jitted
 from motes.core.types import Inputs, KeyLike
 from motes.filters.history import Carry, History, ask_evidence
 from motes.filters.interface import Filter, Info
@@ -24,19 +25,19 @@ def _engine(form: Any, parts: list[Any]) -> Engine:
     return Engine(*jax.tree.unflatten(form, parts))
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jitted, static_argnums=0)
 def _begin(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Carry:
     with report.collected():
         return _engine(form, parts).initial(u, y)
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jitted, static_argnums=0)
 def _move(form: Any, parts: list[Any], carry: Carry, u: Inputs) -> Carry:
     with report.collected():
         return _engine(form, parts).move(carry, u)
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jitted, static_argnums=0)
 def _take_in(form: Any, parts: list[Any], carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
     with report.collected() as notes:
         engine = _engine(form, parts)
@@ -45,7 +46,7 @@ def _take_in(form: Any, parts: list[Any], carry: Carry, y: jax.Array) -> tuple[C
     return taken
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jitted, static_argnums=0)
 def _step(form: Any, parts: list[Any], carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
     with report.collected():
         return _engine(form, parts).step(carry, y, u)

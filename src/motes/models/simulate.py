@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
+from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.laws.conditional import Custom
@@ -77,7 +78,7 @@ def _measured(key: jax.Array, model: StateSpaceModel, x: jax.Array, u: Inputs, t
     return model.sensor.sample(keyed, x[:, None], u, t)[:, 0]
 
 
-@jax.jit
+@jitted
 def _measurements(key: jax.Array, given: Any, xs: jax.Array, inputs: Inputs) -> jax.Array:
     model = given if isinstance(given, StateSpaceModel) else given.joined()
     key = random.child(key, random.NOISE)
@@ -85,7 +86,7 @@ def _measurements(key: jax.Array, given: Any, xs: jax.Array, inputs: Inputs) -> 
     return jax.lax.map(lambda now: _measured(key, model, *now), (xs, inputs, steps))
 
 
-@partial(jax.jit, static_argnames=("steps",))
+@partial(jitted, static_argnames=("steps",))
 def _simulate(key: jax.Array, given: Any, steps: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
     model = given if isinstance(given, StateSpaceModel) else given.joined()
     model.check(at_step(inputs, 0))

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random
+from motes.core.compiling import jitted
 from motes.core.record import record
 from motes.core.types import KeyLike
 from motes.laws.cloud import draw
@@ -136,7 +137,7 @@ def _as_mixture(law: Gaussian | Mixture) -> Mixture:
     return Mixture(Gaussian(law.parts.center, spread), law.log_weights)
 
 
-@jax.jit
+@jitted
 def _fitted(law: StudentMixture, log_weights: jax.Array, points: jax.Array) -> StudentMixture:
     """Step once from expectation to maximization."""
     each = law.each(points) + law.mixture.log_weights[:, None]

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
+from motes.core.compiling import jitted
 from motes.core.types import KeyLike
 from motes.mcmc.interface import Kernel, LogDensity, State, as_kernel, check_start
 
@@ -68,6 +69,6 @@ def anneal(key: KeyLike, kernel: Kernel, log_density: LogDensity, init: Any, ste
         (_, _, best, most), _ = jax.lax.scan(cooled, begun, jnp.arange(steps, dtype=jnp.int32))
         return best, most
 
-    best, most = jax.jit(jax.vmap(one))(random.step_keys(key, chains))
+    best, most = jitted(jax.vmap(one))(random.step_keys(key, chains))
     winner = int(jnp.argmax(most))
     return Annealed(jax.tree.map(lambda leaf: leaf[winner], best), float(most[winner]), np.asarray(most))

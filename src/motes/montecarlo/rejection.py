@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
+from motes.core.compiling import jitted
 from motes.core.types import KeyLike
 from motes.laws.law import as_law
 from motes.montecarlo.estimate import densities_at
@@ -51,7 +52,7 @@ def rejection_sampling(key: KeyLike, log_density: Any, proposal: Any, log_bound:
     key = random.as_key(key)
     batch = max(1_000, n)
 
-    @jax.jit
+    @jitted
     def tried(key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         points = law.sample(random.child(key, 2), batch)
         excess = densities_at(log_density, points) - law.log_prob(points) - log_bound

@@ -13,6 +13,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from motes.core import checks, linalg, logspace, random
+from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.core.types import KeyLike
 from motes.laws.cloud import Cloud, weighted_moments
@@ -87,7 +88,7 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
         checks.refuse("temper prior", "one under which some particle has a likelihood", f"none of {n}",
                       "Use more particles, or check log_likelihood.")
 
-    @jax.jit
+    @jitted
     def advance(key: jax.Array, b: jax.Array, particles: jax.Array, values: jax.Array) -> Any:
         values = jnp.where(jnp.isnan(values), -jnp.inf, values)
         db = _step(values, b, how.ess * n)

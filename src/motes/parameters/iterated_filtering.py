@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
+from motes.core.compiling import jitted
 from motes.core.progress import tracked
 from motes.core.types import KeyLike
 from motes.filters import keep
@@ -74,7 +75,7 @@ def iterated_filtering(key: KeyLike, given: Parametric, n: int, deviations: Any,
     return Iterated(means[-1], means, spread, likelihoods)
 
 
-@jax.jit
+@jitted
 def _round(key: jax.Array, given: Parametric, thetas: jax.Array, deviations: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     size, n = thetas.shape
     model = augmented(given, thetas, random.child(key, random.WORLD), deviations)

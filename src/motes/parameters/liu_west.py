@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, linalg, random
+from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.core.types import KeyLike
 from motes.filters.interface import weigh
@@ -70,7 +71,7 @@ def liu_west(key: KeyLike, given: Parametric, n: int, discount: float = 0.98) ->
     return Tracked(cloud, np.asarray(mean), np.asarray(cov), total, np.asarray(sizes))
 
 
-@partial(jax.jit, static_argnames="n")
+@partial(jitted, static_argnames="n")
 def _filtered(key: jax.Array, given: Parametric, n: int, a: Any) -> tuple[Cloud, tuple[jax.Array, ...]]:
     size = given.size
     opening = random.step_key(key, 0)

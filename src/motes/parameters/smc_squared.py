@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, logspace, random
+from motes.core.compiling import jitted
 from motes.core.progress import tracked
 from motes.core.types import KeyLike
 from motes.filters.history import Carry
@@ -101,7 +102,7 @@ def _next(posterior: Posterior, key: jax.Array, theta: jax.Array, carry: Carry, 
     return carry, jnp.where(info.collapsed, -jnp.inf, info.log_evidence)
 
 
-@jax.jit
+@jitted
 def _begun(posterior: Posterior, thetas: jax.Array, keys: jax.Array) -> State:
     """Return what each parameter carries along: itself, its log posterior so far, its filter."""
 
@@ -111,7 +112,7 @@ def _begun(posterior: Posterior, thetas: jax.Array, keys: jax.Array) -> State:
     return jax.vmap(one)(thetas, keys)
 
 
-@jax.jit
+@jitted
 def _taken_in(posterior: Posterior, state: State, log_weights: jax.Array, t: jax.Array) -> tuple[State, jax.Array, jax.Array]:
     def one(state: State) -> tuple[State, jax.Array]:
         key, carry = state.memory
@@ -136,7 +137,7 @@ def _moved(
     return state, jnp.mean(jnp.stack(rates))
 
 
-@jax.jit
+@jitted
 def _once(key: jax.Array, posterior: Posterior, state: State, walk: RandomWalkMetropolis, t: jax.Array) -> tuple[State, jax.Array]:
     """Move all parameters once, each with a new filter over the measurements so far."""
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
+from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.filters.history import History
@@ -50,7 +51,7 @@ def smooth(
     return replace(found, names=history.names, label=repr(smoother))
 
 
-@jax.jit
+@jitted
 def _smooth(key: jax.Array, smoother: Smoother, model: Any, history: History, ys: jax.Array | None, inputs: Inputs) -> Smoothed:
     model, inputs = driven(model, inputs, ys)
     count = history.info.ess.shape[0]

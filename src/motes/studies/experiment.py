@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
+from motes.core.compiling import jitted
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.filters.interface import Filter
@@ -123,7 +124,7 @@ class Experiment:
                 raise checks.MotesError(f"filter {name!r}: {reason}") from None
 
 
-@jax.jit
+@jitted
 def _keys(root: jax.Array, run: Any) -> tuple[jax.Array, jax.Array]:
     key = random.step_key(root, run)
     return random.child(key, random.WORLD), random.child(key, random.FILTER)

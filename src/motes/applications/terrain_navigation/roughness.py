@@ -16,6 +16,7 @@ import numpy as np
 from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
 from motes.bounds.kalman_at_truth import kalman_at_truth
 from motes.core import linalg
+from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
@@ -97,7 +98,7 @@ def roughness(model: StateSpaceModel, track: Track) -> Roughness:
     )
 
 
-@jax.jit
+@jitted
 def _expected(model: Any, track: Track) -> jax.Array:
     """Return the expected horizontal error at each fix, `(t,)`, m."""
     *across, down = places_of(model.names)

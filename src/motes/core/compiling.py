@@ -1,0 +1,60 @@
+"""How what is jitted here is compiled: with options that keep XLA for CPUs from stopping for good.
+
+In JAX before 0.12, XLA for CPUs can lose the end of one of the operations that it runs at the same time: all threads of the process then
+sleep, in `block_until_ready` or in their pool, and nothing wakes them. Seen in long chains of `mcmc.ReversibleJump` on two processors,
+within a minute. Operations are run at the same time where many of a loop's body are ready at once, which the scheduler that orders them for
+concurrency sees to; the other one, which orders them for little memory, leaves few that are ready at once, and was never seen to stop.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+OPTIONS: dict[str, Any] = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
+CURED = (0, 12)
+"""The first JAX that was never seen to stop."""
+
+
+def jitted(function: Callable[..., Any], **static: Any) -> Any:
+    """Do as `jax.jit` does, compiled with care where nobody else compiles it.
+
+    Options are for whole programs: inside another's `jit`, `vmap` or `grad` they are refused, and those of the outer program hold.
+
+    Args:
+        function: what to jit.
+        static: static arguments, as `jax.jit` takes them.
+    """
+    return _Jitted(function, static) if jax.__version_info__ < CURED else jax.jit(function, **static)
+
+
+class _Jitted:
+    def __init__(self, function: Callable[..., Any], static: dict[str, Any]):
+        self._within, self._alone = jax.jit(function, **static), jax.jit(function, **static, compiler_options=OPTIONS)
+        functools.update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return (self._alone if _at_top() and _are_known() else self._within)(*arguments, **named)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._alone if _are_known() else self._within, name)
+
+
+def _at_top() -> bool:
+    """Tell whether nothing is being traced; only asked of versions of JAX that are out."""
+    from jax._src import core
+
+    return core.trace_state_clean()
+
+
+@functools.cache
+def _are_known() -> bool:
+    """Tell whether it is XLA for CPUs that compiles, and one that knows the options."""
+    if jax.default_backend() != "cpu":
+        return False
+    try:
+        jax.jit(lambda: 0, compiler_options=OPTIONS)()
+    except RuntimeError:
+        return False
+    return True
