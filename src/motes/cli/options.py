@@ -103,12 +103,30 @@ def from_file_and_flags(kind: type[Settings], words: Sequence[str], usage: str) 
     Raises:
         MotesError: no file is named, or what `from_toml` and `from_flags` raise.
     """
+    path, flags = first_and_flags(kind(), words, usage, "a TOML file first", "motes demo writes an example: out/terrain.toml.")
+    return from_flags(from_toml(kind, path), flags, usage)
+
+
+def first_and_flags(default: Any, words: Sequence[str], usage: str, expected: str, hint: str) -> tuple[str, Sequence[str]]:
+    """Return the word that comes first and the flags after it; `--` says that what follows is no flag, however it begins.
+
+    Args:
+        default: the settings where no flag is given.
+        words: of the command line, after the command.
+        usage: the command, for messages and help.
+        expected: what comes first, for the message where it is missing.
+        hint: how to get it.
+
+    Raises:
+        MotesError: no such word is there, or what `from_flags` raises.
+    """
+    if list(words[:1]) == ["--"] and len(words) > 1:
+        return words[1], words[2:]
     if words and words[0].startswith("-"):
-        from_flags(kind(), words, usage)
+        from_flags(default, words, usage)
     if not words or words[0].startswith("-"):
-        hint = "motes demo writes an example: out/terrain.toml."
-        refuse("arguments", "a TOML file first", shown(" ".join(words)) if words else "nothing", hint)
-    return from_flags(from_toml(kind, words[0]), words[1:], usage)
+        refuse("arguments", expected, shown(" ".join(words)) if words else "nothing", hint)
+    return words[0], words[1:]
 
 
 def _filled(kind: Any, table: dict[str, Any], path: Path, place: str) -> Any:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from motes.cli.options import from_flags, refuse, shown
+from motes.cli.options import first_and_flags, from_flags
 
 USAGE = "motes report STORE"
 
@@ -27,16 +27,12 @@ def main(words: Sequence[str]) -> None:
     Raises:
         MotesError: the folder is no store or is damaged, or the page cannot be written.
     """
-    if words and words[0].startswith("-"):
-        from_flags(Report(), words, USAGE)
-    if not words or words[0].startswith("-"):
-        given = shown(" ".join(words)) if words else "nothing"
-        refuse("arguments", "the folder of a study first", given, "mo.study(..., store=FOLDER) makes one.")
-    settings = from_flags(Report(), words[1:], USAGE)
+    folder, flags = first_and_flags(Report(), words, USAGE, "the folder of a study first", "mo.study(..., store=FOLDER) makes one.")
+    settings = from_flags(Report(), flags, USAGE)
     from motes.report.html import report
     from motes.studies.result import StudyResult
 
-    result = StudyResult.load(words[0])
+    result = StudyResult.load(folder)
     page = report(result, settings.out, title=settings.title)
     print(result.table())
     print(f"The report is in {page}.")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from motes.bounds.bound import Bound
-from motes.plotting.figures import ESTIMATE, over_steps, state_panels
+from motes.plotting.figures import ESTIMATE, WORDS, over_steps, state_panels
 
 
 def bound_figure(bound: Bound) -> Any:
@@ -16,5 +16,5 @@ def bound_figure(bound: Bound) -> Any:
         axes.plot(deviations, color=ESTIMATE, linewidth=1.4)
         axes.set_ylim(bottom=0)
     over_steps(figure, 0, len(variances) - 1)
-    figure.suptitle(bound.kind, fontsize=10)
+    figure.suptitle(bound.kind, fontsize=10, **WORDS)
     return figure

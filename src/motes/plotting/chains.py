@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from motes.mcmc.chains import Chains
-from motes.plotting.figures import COLORS, new_figure, tidy
+from motes.plotting.figures import COLORS, WORDS, new_figure, tidy
 
 MOST, BINS = 10, 20
 """Quantities drawn at most; bins of the ranks."""
@@ -34,7 +34,7 @@ def chains_figure(chains: Chains) -> Any:
 def _trace(axes: Any, name: str, draws: np.ndarray) -> None:
     for chain, values in enumerate(draws):
         axes.plot(values, color=COLORS[chain % len(COLORS)], linewidth=0.5, alpha=0.8)
-    axes.set_title(name, fontsize=10)
+    axes.set_title(name, fontsize=10, **WORDS)
 
 
 def _ranks(axes: Any, draws: np.ndarray) -> None:

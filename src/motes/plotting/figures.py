@@ -8,6 +8,8 @@ from motes.core.checks import need
 TRUE, ESTIMATE, INERTIAL, OTHER = "#111111", "#0072b2", "#d55e00", "#009e73"
 COLORS = (ESTIMATE, INERTIAL, OTHER, "#cc79a7", "#e69f00", "#56b4e9")
 COLUMNS = 3
+WORDS = {"parse_math": False, "usetex": False}
+"""Of every text with names that the user gave: dollars and backslashes in it are no mathematics."""
 
 
 def new_figure(width: float, height: float) -> Any:
@@ -24,7 +26,8 @@ def new_figure(width: float, height: float) -> Any:
 def legend_below(figure: Any, axes: Any, columns: int) -> None:
     """Put the legend of some axes under the picture, where it hides no data."""
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    for text in figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False).get_texts():
+        text.set(**WORDS)
 
 
 def tidy(axes: Any) -> None:
@@ -42,7 +45,7 @@ def state_panels(names: Sequence[str], wide: bool = False) -> tuple[Any, list[An
     figure = new_figure(4.0 * columns, 2.1 * rows + 0.6)
     grid = figure.add_gridspec(rows, columns)
     for state, name in enumerate(names):
-        figure.add_subplot(grid[state // columns, state % columns]).set_title(name, fontsize=10)
+        figure.add_subplot(grid[state // columns, state % columns]).set_title(name, fontsize=10, **WORDS)
     if wide:
         figure.add_subplot(grid[state_rows, :])
     for axes in figure.axes:

@@ -3,7 +3,7 @@
 from typing import Any
 
 from motes.planning.plan import Plan
-from motes.plotting.figures import COLORS, new_figure, tidy
+from motes.plotting.figures import COLORS, WORDS, new_figure, tidy
 
 
 def plan_figure(plan: Plan) -> Any:
@@ -14,7 +14,7 @@ def plan_figure(plan: Plan) -> Any:
     tidy(axes)
     for place, (error, one) in enumerate(zip(map(_number, errors), map(_number, spread), strict=True)):
         axes.errorbar(error, place, xerr=2 * one, fmt="o", color=COLORS[place > 0], markersize=4, linewidth=1.2)
-    axes.set_yticks(range(len(names)), [f"{name}".replace("$", r"\$") for name in names])
+    axes.set_yticks(range(len(names)), [f"{name}" for name in names], **WORDS)
     axes.invert_yaxis()
     axes.set_xlabel("RMSE, two standard errors to each side")
     return figure

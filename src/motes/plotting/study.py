@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from motes.plotting.figures import COLORS, TRUE, legend_below, new_figure, tidy
+from motes.plotting.figures import COLORS, TRUE, WORDS, legend_below, new_figure, tidy
 from motes.studies.result import StudyResult
 
 COLUMNS = 3
@@ -28,11 +28,11 @@ def study_figure(result: StudyResult, bound: Any = None) -> Any:
         axes = figure.add_subplot(rows, columns, place + 1)
         tidy(axes)
         for number, (name, line) in enumerate(zip(result.filters, result.rmse_over_time(block), strict=True)):
-            # a leading underscore would hide the name from the legend, and dollars would be read as mathematics
-            axes.plot(steps, line, color=COLORS[number % len(COLORS)], linewidth=1.4, label=f" {name}".replace("$", r"\$"))
+            # a leading underscore would hide the name from the legend
+            axes.plot(steps, line, color=COLORS[number % len(COLORS)], linewidth=1.4, label=f" {name}")
         if bound is not None:
             axes.plot(steps, result.bound_over_time(block, bound), color=TRUE, linewidth=1.0, linestyle=(0, (4, 2)), label="bound")
-        axes.set_title(f"RMSE of {block}".replace("$", r"\$"), fontsize=10)
+        axes.set_title(f"RMSE of {block}", fontsize=10, **WORDS)
         axes.set_ylim(bottom=0)
         axes.set_xlim(0, max(steps[-1], 1))
         axes.set_xlabel("step")

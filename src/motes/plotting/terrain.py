@@ -7,7 +7,7 @@ import numpy as np
 
 from motes.core.checks import need
 from motes.models.terrain import TerrainMap
-from motes.plotting.figures import COLORS, ESTIMATE, INERTIAL, TRUE, legend_below, new_figure, tidy
+from motes.plotting.figures import COLORS, ESTIMATE, INERTIAL, TRUE, WORDS, legend_below, new_figure, tidy
 
 MARGIN = 3000.0
 """Meters of map shown around the tracks."""
@@ -53,7 +53,8 @@ def map_figure(terrain: TerrainMap, tracks: Tracks, title: str = "") -> Any:
     for step in np.unique(np.geomspace(1, last + 1, ELLIPSES).astype(int)) - 1:
         _ellipse(axes, float(tracks.estimate[0][step]), float(tracks.estimate[1][step]), tracks.covs[step])
     axes.plot([], [], color=ESTIMATE, linewidth=1.0, label="2 sigma of the estimate")
-    axes.set(aspect="equal", xlabel="east, km", ylabel="north, km", title=title, xlim=(west, east), ylim=(south, north))
+    axes.set(aspect="equal", xlabel="east, km", ylabel="north, km", xlim=(west, east), ylim=(south, north))
+    axes.set_title(title, **WORDS)
     legend_below(figure, axes, 4)
     return figure
 
@@ -121,7 +122,8 @@ def error_figure(seconds: np.ndarray, errors: Mapping[str, np.ndarray], deviatio
     lowest = min(float(np.min(error[error > 0], initial=lost)) for error in errors.values())
     highest = max(float(np.max(error)) for error in errors.values())
     axes.set(yscale="log", ylim=(max(lowest / 1.5, 1.0), max(2 * highest, 2 * lost)), xlim=(seconds[0], max(seconds[-1], seconds[0] + 1)),
-             xlabel="time, s", ylabel="horizontal error, m", title=title)
+             xlabel="time, s", ylabel="horizontal error, m")
+    axes.set_title(title, **WORDS)
     axes.yaxis.set_major_formatter(need("matplotlib.ticker", "results").FuncFormatter(lambda value, _: f"{value:g}"))
     legend_below(figure, axes, 3)
     return figure
@@ -143,7 +145,8 @@ def comparison_figure(seconds: np.ndarray, curves: Mapping[str, np.ndarray], tit
         tidy(axes)
         for name, curve in curves.items():
             axes.plot(seconds, curve[:, place], label=name, **looks[name])
-        axes.set(yscale="log", ylabel=f"RMSE, {label}", title="" if place else title)
+        axes.set(yscale="log", ylabel=f"RMSE, {label}")
+        axes.set_title("" if place else title, **WORDS)
     axes.set(xlabel="time, s")
     legend_below(figure, axes, 3)
     return figure
