@@ -14,8 +14,9 @@ import motes as mo
 from data import refused
 from motes.core import engine
 from motes.core.record import replace
+from motes.core.settings import in_force
 from motes.studies.store import Store
-from motes.studies.work import TRUTH, Work, settings_in_force
+from motes.studies.work import TRUTH, Work
 
 FACTORY = "study_models:experiment"
 
@@ -94,7 +95,7 @@ def test_dask_gives_the_same_bits(result):
 
 
 def test_batches_of_an_accelerator_do_not_depend_on_chunks(result):
-    work, settings = Work(experiment(), 4), settings_in_force()
+    work, settings = Work(experiment(), 4), in_force()
     whole = work.block(settings, "second", 0, 10)
     pieces = [work.block(settings, "second", start, stop) for start, stop in ((0, 3), (3, 4), (4, 10))]
     for name, values in whole.items():
@@ -112,10 +113,10 @@ def test_engine_and_precision_reach_the_threads(monkeypatch):
     assert found.truth.dtype == found.estimates.dtype == found.nees.dtype == np.float64 and dict(found.provenance)["float"] == "float64"
     monkeypatch.setattr("motes.studies.work.one_run", seen)
     with mo.engine("native"):
-        settings = settings_in_force()
+        settings = in_force()
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(Work(experiment(), 1).block, settings, "first", 0, 2).result()["x"].all()
-        assert not pool.submit(Work(experiment(), 1).block, settings_in_force(), "first", 0, 2).result()["x"].any()
+        assert not pool.submit(Work(experiment(), 1).block, in_force(), "first", 0, 2).result()["x"].any()
 
 
 def test_a_collapsed_run_stops_nothing():

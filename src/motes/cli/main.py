@@ -9,6 +9,8 @@ import os
 import sys
 from collections.abc import Sequence
 
+from motes.cli import interruption
+
 COMMANDS = {
     "demo": "run a demonstration: terrain (the default) or robot",
     "run": "run a filter on your own map and measurements, as a TOML file says",
@@ -27,12 +29,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand.
 
     Args:
-        arguments: words after `motes`; those of the process if not given.
+        arguments: words after `motes`; if not given, those of the process, which is ended with the exit code.
 
     Returns:
         The exit code.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is not None:
+        return _run(list(arguments))
+    words = sys.argv[1:]
+    interruption.heed(" ".join(["motes", *(word for word in words[:1] if word in COMMANDS)]))
+    code = _run(words)
+    interruption.leave(code)
+
+
+def _run(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help"):
         print(_usage())
         return 0

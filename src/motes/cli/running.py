@@ -13,10 +13,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from motes.core.checks import FileError, refuse
+from motes.core.progress import is_shown
+from motes.core.watchdog import watched
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.run import run_in_chunks
@@ -42,7 +44,7 @@ class Outcome(NamedTuple):
 
 
 def race(seed: int, filters: Mapping[str, Filter], model: Any, ys: jax.Array, inputs: Any) -> dict[str, Outcome]:
-    """Run each filter over the same measurements, with a progress bar on the error stream.
+    """Run each filter over the same measurements, with a progress bar where the error stream is a terminal.
 
     Args:
         seed: of all filters.
@@ -56,12 +58,21 @@ def race(seed: int, filters: Mapping[str, Filter], model: Any, ys: jax.Array, in
     """
     for one in filters.values():
         one.prepare(model, at_step(inputs, 0))
+
+    def standing() -> str:
+        return ", ".join(f"{task.completed:.0f} of {task.total:.0f} steps of {task.description}" for task in progress.tasks)
+
     columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn())
-    outcomes = {}
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    outcomes, console = {}, Console(stderr=True)
+    with Progress(*columns, console=console, disable=not is_shown(console, None)) as progress, watched("motes", standing) as further:
         for name, one in filters.items():
             task = progress.add_task(name, total=ys.shape[0])
-            outcomes[name] = _timed(seed, one, model, ys, inputs, lambda steps, task=task: progress.advance(task, steps))
+
+            def advance(steps: int, task: TaskID = task) -> None:
+                progress.advance(task, steps)
+                further()
+
+            outcomes[name] = _timed(seed, one, model, ys, inputs, advance)
     return outcomes
 
 

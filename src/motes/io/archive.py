@@ -21,6 +21,7 @@ import numpy as np
 from motes.core.checks import FileError, need
 from motes.io.files import look, reject
 from motes.io.members import LARGEST, PACKED, Form, Members, opened, too_large, unpacked
+from motes.io.unfinished import unfinished
 
 _FORMAT = 1
 _HEADER = "header.json"
@@ -52,24 +53,18 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     Raises:
         FileError: the folder is missing or cannot be written to, or the disk is full.
     """
-    temporary = None
     if "\0" in str(path):
         reject(path, "a name of a file", repr(str(path)[-80:]))
     try:
-        name = path.with_name(f".{path.name[:80]}.{secrets.token_hex(8)}")
-        with name.open("xb") as file:
-            temporary = name
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-        temporary = None
+        with unfinished(path.with_name(f".{path.name[:80]}.{secrets.token_hex(8)}")) as temporary:
+            with temporary.open("xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
         _force(path.parent)
     except OSError as reason:
         reject(path, "a file that can be written", reason.strerror or str(reason))
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 def durable_folder(path: Path) -> None:

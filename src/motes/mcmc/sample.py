@@ -1,6 +1,7 @@
 """The one loop over the steps of chains."""
 
 import math
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -9,9 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
+from motes.core.compiling import jitted
 from motes.core.progress import tracked
 from motes.core.record import is_function, record
+from motes.core.settings import enforced, in_force
 from motes.core.types import KeyLike
+from motes.core.watchdog import watched
+from motes.core.workers import Workers
 from motes.mcmc import judgement
 from motes.mcmc.chains import Chains, joined
 from motes.mcmc.interface import Info, Kernel, LogDensity, State, as_kernel, check_start
@@ -48,6 +53,7 @@ def sample(
 
     Raises:
         MotesError: an argument cannot be used; the density at a start is not a finite number; the kernel does not fit.
+        KeyboardInterrupt: it was interrupted before there were draws to give.
     """
     as_kernel("sample kernel", kernel)
     if not callable(log_density):
@@ -74,19 +80,39 @@ def sample(
         pieces = _pieces(burn_in, draws)
     kept: list[Chains] = []
     try:
-        for count, keep in tracked(pieces, "sampling", None):
-            states, info, out = jax.block_until_ready(_advance(key, kernel, target, states, jnp.int32(begun), count))
-            begun += count
-            if keep:
-                kept.append(Chains(out[0], out[1], info, states, jnp.int32(begun), kernel.moves, repr(kernel)))
+        for last, info, out, steps in _drawn(key, kernel, target, states, begun, pieces):
+            if out is not None:
+                kept.append(Chains(*out, info, last, jnp.int32(steps), kernel.moves, repr(kernel)))
     except KeyboardInterrupt:
         if not kept:
-            raise
-        checks.warn(f"sample: interrupted after {begun} steps; here are the draws so far. Continue with init=chains and the same key.")
+            raise KeyboardInterrupt(f"sample: interrupted before the first {pieces[-1][0]} draws; there is nothing to keep.") from None
+        checks.warn(f"sample: interrupted after {int(kept[-1].steps)} steps; here are the draws so far. Continue with init=chains and the "
+                    "same key.")
     found = joined(kept)
-    for finding in judgement.at_once(found):
-        checks.warn(str(finding))
+    try:
+        for finding in judgement.at_once(found):
+            checks.warn(str(finding))
+    except KeyboardInterrupt:
+        checks.warn("sample: interrupted after the last draw; here are all of them, but nobody has looked at them.")
     return found
+
+
+def _drawn(
+    key: jax.Array, kernel: Kernel, target: Target, states: State, begun: int, pieces: list[tuple[int, bool]]
+) -> Iterator[tuple[State, Info, tuple[Any, jax.Array] | None, int]]:
+    """Give states, counts, draws (None in the burn-in) and the number of steps so far after each piece, drawn by a thread of its own."""
+    settings, total = in_force(), begun + sum(count for count, _ in pieces)
+
+    def advance(states: State, begun: int, count: int) -> Any:
+        with enforced(settings):
+            return jax.block_until_ready(_advance(key, kernel, target, states, jnp.int32(begun), count))
+
+    with watched("sample", lambda: f"{begun} of {total} steps", "; the draws so far are kept") as progressed, Workers(1) as worker:
+        for count, keep in tracked(pieces, "sampling", None):
+            states, info, out = worker.submit(advance, states, begun, count).result()
+            begun += count
+            progressed()
+            yield states, info, out if keep else None, begun
 
 
 def _continued(kernel: Kernel, log_density: LogDensity, chains: Chains) -> tuple[Target, State, int]:
@@ -141,13 +167,13 @@ def _pieces(burn_in: int, draws: int) -> list[tuple[int, bool]]:
     return [(burn_in // split(burn_in), False)] * split(burn_in) + [(draws // split(draws), True)] * split(draws)
 
 
-@jax.jit
+@jitted
 def _begin(key: jax.Array, kernel: Kernel, target: Target, positions: Any) -> State:
     keys = random.step_keys(key, jax.tree.leaves(positions)[0].shape[0])
     return jax.vmap(lambda key, position: kernel.init(key, target.log_density, position))(keys, positions)
 
 
-@partial(jax.jit, static_argnames="count")
+@partial(jitted, static_argnames="count")
 def _advance(
     key: jax.Array, kernel: Kernel, target: Target, states: State, begun: jax.Array, count: int
 ) -> tuple[State, Info, tuple[Any, jax.Array]]:

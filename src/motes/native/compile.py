@@ -15,6 +15,7 @@ import jax
 from jaxlib import version
 
 from motes.io.private import private_folder
+from motes.io.unfinished import unfinished
 
 HEADERS = Path(__file__).parent / "cpp"
 FLAGS = (
@@ -91,8 +92,8 @@ def library(source: str) -> tuple[str, ctypes.CDLL]:
 
 
 def _built(source: str, kept: Path | None) -> ctypes.CDLL:
-    with tempfile.TemporaryDirectory(dir=kept.parent if kept else None) as name:
-        text, made = Path(name) / "kernel.cpp", Path(name) / "kernel.so"
+    with unfinished(Path(tempfile.mkdtemp(dir=kept.parent if kept else None))) as folder:
+        text, made = folder / "kernel.cpp", folder / "kernel.so"
         text.write_text(source)
         words = [*_required(), *FLAGS, *_wide(), f"-I{HEADERS}", f"-I{jax.ffi.include_dir()}", "-o", str(made), str(text)]
         try:

@@ -2,18 +2,20 @@
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
 from motes.core import checks, engine
+from motes.core.settings import for_another_process, in_force
+from motes.core.watchdog import watched
+from motes.core.workers import Workers
 from motes.studies.experiment import Experiment
 from motes.studies.identity import of_filters, of_world
 from motes.studies.result import StudyResult, notes_of
 from motes.studies.store import Entry, Memory, Store
-from motes.studies.work import TRUTH, Work, batch_width, built, remote_block, settings_in_force
+from motes.studies.work import TRUTH, Work, batch_width, built, remote_block
 
 CHUNK = 8
 """Runs that are computed, and kept, at a time on a CPU."""
@@ -65,8 +67,9 @@ def study(
             kept.verify(repair)
         tasks = _missing(plan, kept, chunk)
         try:
-            with _workers(experiment, plan, executor, width) as submit, _bar(plan, tasks, progress) as advance:
-                _work_off(tasks, submit, kept, advance)
+            with _watched(plan, tasks, store, executor is None) as seen, _bar(plan, tasks, progress) as drawn:
+                with _workers(experiment, plan, executor, width) as submit:
+                    _work_off(tasks, submit, kept, lambda runs: (seen(runs), drawn(runs)))
         except KeyboardInterrupt:
             raise KeyboardInterrupt(_told(plan, kept, store, chunk)) from None
         labels = {name: repr(plan.assumed(name)[0]) for name in plan.filters}
@@ -98,15 +101,15 @@ def _missing(plan: Experiment, kept: Store | Memory, chunk: int) -> list[Task]:
 
 @contextmanager
 def _workers(source: Any, plan: Experiment, executor: Any, width: int) -> Iterator[Callable[..., Any]]:
-    """Give what submits a task; leaving by an error ends the threads of this process after the run at hand."""
-    settings = settings_in_force()
+    """Give what submits a task; leaving by an error ends the threads of this process after the run at hand, or leaves them to it."""
+    settings = in_force()
     if executor is not None:
-        yield lambda *task: executor.submit(remote_block, source, settings, width, *task)
+        yield lambda *task: executor.submit(remote_block, source, for_another_process(settings), width, *task)
         return
     work = Work(plan, width)
-    with ThreadPoolExecutor(processors() if width == 1 else 1) as pool:
+    with Workers(processors() if width == 1 else 1) as workers:
         try:
-            yield lambda *task: pool.submit(work.block, settings, *task)
+            yield lambda *task: workers.submit(work.block, settings, *task)
         except BaseException:
             work.stopping.set()
             raise
@@ -117,7 +120,7 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _work_off(tasks: list[Task], submit: Callable[..., Any], kept: Store | Memory, advance: Callable[[int], None]) -> None:
+def _work_off(tasks: list[Task], submit: Callable[..., Any], kept: Store | Memory, advance: Callable[[int], object]) -> None:
     finished: SimpleQueue[Any] = SimpleQueue()
     pending = {}
     try:
@@ -131,8 +134,24 @@ def _work_off(tasks: list[Task], submit: Callable[..., Any], kept: Store | Memor
             kept.put(part, start, stop, future.result())
             advance(stop - start if part != TRUTH else 0)
     finally:
-        for future in pending:
-            future.cancel()
+        for future, (part, start, stop) in pending.items():
+            # what was done while this thread was busy, or interrupted, is not lost
+            if not future.cancel() and future.done() and future.exception() is None:
+                kept.put(part, start, stop, future.result())
+
+
+@contextmanager
+def _watched(plan: Experiment, tasks: list[Task], store: Any, here: bool) -> Iterator[Callable[[int], None]]:
+    """Say where the study stands when it does not get further."""
+    total, done = plan.runs * len(plan.filters), [_left(tasks)]
+    hint = "" if store is None else "; what is done is kept"
+
+    def advance(runs: int) -> None:
+        done[0] -= runs
+        moved()
+
+    with watched("study", lambda: f"{total - done[0]} of {total} runs", hint, here) as moved:
+        yield advance
 
 
 @contextmanager
@@ -149,15 +168,19 @@ def _bar(plan: Experiment, tasks: list[Task], progress: bool | None) -> Iterator
         return
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     total = plan.runs * len(plan.filters)
-    left = sum(stop - start for part, start, stop in tasks if part != TRUTH)
+    left = _left(tasks)
     with Progress(*columns, console=console) as drawn:
         bar = drawn.add_task("", total=total, completed=total - left)
         yield lambda runs: drawn.advance(bar, runs)
 
 
+def _left(tasks: list[Task]) -> int:
+    return sum(stop - start for part, start, stop in tasks if part != TRUTH)
+
+
 def _told(plan: Experiment, kept: Store | Memory, store: Any, chunk: int) -> str:
     total = plan.runs * len(plan.filters)
-    left = sum(stop - start for part, start, stop in _missing(plan, kept, chunk) if part != TRUTH)
+    left = _left(_missing(plan, kept, chunk))
     if store is None:
         return f"study: interrupted after {total - left} of {total} runs; none is kept. Give a store to be able to go on."
     return f"study: interrupted; {total - left} of {total} runs are in {store}. The same call goes on from there."

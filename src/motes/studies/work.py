@@ -12,14 +12,16 @@ import importlib
 import threading
 from contextlib import nullcontext
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, engine, linalg
+from motes.core import checks, linalg
+from motes.core.compiling import jitted
 from motes.core.record import replace
+from motes.core.settings import Settings, enforced
 from motes.diagnostics.consistency import normalized_errors
 from motes.filters.interface import Info
 from motes.filters.run import run
@@ -30,23 +32,6 @@ TRUTH = ""
 """Name of the part of a study that holds the true states; those of the filters are the other parts."""
 WIDTH = 64
 """Runs in one batch on an accelerator."""
-
-
-class Settings(NamedTuple):
-    """What is in force in the thread that asks, and must be in the one that works.
-
-    Attributes:
-        engine: name of the engine.
-        double: whether numbers are float64.
-    """
-
-    engine: str
-    double: bool
-
-
-def settings_in_force() -> Settings:
-    """Return the settings of this thread."""
-    return Settings(engine.chosen(), bool(jax.config.jax_enable_x64))  # type: ignore[attr-defined]
 
 
 def batch_width() -> int:
@@ -71,7 +56,7 @@ class Work:
             KeyboardInterrupt: the study was stopped meanwhile.
         """
         pieces = []
-        with engine.using(settings.engine), jax.enable_x64(settings.double):
+        with enforced(settings):
             for first in (start, *range(start - start % self.width + self.width, stop, self.width)):
                 # while the first run of a part compiles, other threads wait or take another part
                 with nullcontext() if part in self._compiled else self._first[part]:
@@ -90,7 +75,7 @@ class Work:
         return {name: np.asarray(value)[first - base : stop - base] for name, value in found.items()}
 
 
-@partial(jax.jit, static_argnames=("part",))
+@partial(jitted, static_argnames=("part",))
 def _batched(experiment: Experiment, part: str, numbers: jax.Array) -> dict[str, jax.Array]:
     return jax.vmap(lambda number: one_run(experiment, part, number))(numbers)
 
@@ -121,7 +106,7 @@ def one_run(experiment: Experiment, part: str, number: Any) -> dict[str, Any]:
     return _judged((history.mean, history.cov, history.info), xs, blocks, experiment.angles) | {"log_likelihood": likelihood}
 
 
-@partial(jax.jit, static_argnames=("blocks", "angles"))
+@partial(jitted, static_argnames=("blocks", "angles"))
 def _judged(
     found: tuple[jax.Array, jax.Array, Info], xs: jax.Array, blocks: tuple[tuple[int, ...], ...], angles: tuple[int, ...]
 ) -> dict[str, jax.Array]:
@@ -152,7 +137,7 @@ def built(factory: str) -> Experiment:
 
 @cache
 def _work(factory: str, settings: Settings, width: int) -> Work:
-    with engine.using(settings.engine), jax.enable_x64(settings.double):
+    with enforced(settings):
         return Work(built(factory), width)
 
 

@@ -1,0 +1,115 @@
+"""Ctrl-C at any moment: exit code 130 at once, one line, nothing half-written, what was done kept."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+SECONDS = 20.0  # in which a process must have ended; it takes a tenth of a second where nobody else computes
+NIGHTLY = bool(os.environ.get("MOTES_NIGHTLY"))
+ASLEEP = """
+import ctypes, sys
+mutex = ctypes.create_string_buffer(64)
+import motes.cli.main as cli
+sys.modules["motes.cli.doctor"] = type(sys)("doctor")
+sys.modules["motes.cli.doctor"].main = {body}
+sys.argv = ["motes", "doctor"]
+sys.exit(cli.main())
+"""
+WRITING = """
+from pathlib import Path
+import sys, time
+from motes.io.archive import whole_file
+def main(words):
+    with whole_file(Path(sys.argv[-1]) / "half.txt") as file:
+        file.write(b"half")
+        file.flush()
+        print("writing", flush=True)
+        time.sleep(60)
+"""
+LEFT = """
+import ctypes, threading, time
+from motes.core.workers import Workers
+try:
+    with Workers(1) as workers:
+        mutex = ctypes.create_string_buffer(64)
+        future = workers.submit(lambda: [ctypes.CDLL(None).pthread_mutex_lock(mutex) for _ in range(2)])
+        print("working", flush=True)
+        future.result()
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+"""
+
+
+def started(*words, **surroundings):
+    # a shell that starts the suite in its background has interruptions ignored
+    heard = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    paths = os.pathsep.join(filter(None, sys.path))
+    return subprocess.Popen([sys.executable, "-c", heard + words[0], *map(str, words[1:])], env=os.environ | {"PYTHONPATH": paths},
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **surroundings)
+
+
+def interrupted(process):
+    process.send_signal(signal.SIGINT)
+    began = time.monotonic()
+    out, err = process.communicate(timeout=SECONDS)
+    return out, err, time.monotonic() - began
+
+
+@pytest.mark.parametrize("body", [
+    # no Python code runs in the main thread; the exception of an ordinary handler is lost
+    "lambda words: (print('in', flush=True), [ctypes.CDLL(None).pthread_mutex_lock(mutex) for _ in range(2)])",
+    "lambda words: (print('in', flush=True), [exec('try: time.sleep(60)\\nexcept BaseException: pass', {'time': __import__('time')}) "
+    "for _ in range(9)])",
+])
+def test_it_ends_whatever_the_main_thread_does(body):
+    process = started(ASLEEP.format(body=body))
+    assert process.stdout.readline() == "in\n"
+    out, err, _ = interrupted(process)
+    assert (process.returncode, err) == (130, "motes doctor: interrupted\n")
+
+
+def test_an_ordinary_handler_is_not_heard_there():
+    locked = "lambda words: (print('in', flush=True), [ctypes.CDLL(None).pthread_mutex_lock(mutex) for _ in range(2)])"
+    process = started(ASLEEP.format(body=locked).replace("sys.argv =", "cli.interruption.heed = lambda name: None\nsys.argv ="))
+    assert process.stdout.readline() == "in\n"
+    process.send_signal(signal.SIGINT)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(1.0)
+    process.kill()
+    process.communicate()
+
+
+def test_nothing_is_left_half_written(tmp_path):
+    (tmp_path / "half.txt").write_text("as it was")
+    process = started(WRITING + ASLEEP.format(body="main").replace('["motes", "doctor"]', '["motes", "doctor", sys.argv[-1]]'), tmp_path)
+    assert process.stdout.readline() == "writing\n" and len(list(tmp_path.iterdir())) == 2
+    out, err, _ = interrupted(process)
+    assert (process.returncode, err) == (130, "motes doctor: interrupted\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["half.txt"] and (tmp_path / "half.txt").read_text() == "as it was"
+
+
+def test_work_that_cannot_be_stopped_is_left_behind():
+    process = started(LEFT)
+    assert process.stdout.readline() == "working\n"
+    out, err, seconds = interrupted(process)
+    assert (process.returncode, out, err) == (130, "interrupted\n", "") and seconds < SECONDS
+
+
+def test_interruptions_at_random_moments(tmp_path):
+    chance = random.Random(24)  # noqa: NPY002
+    command = ("from motes.cli.main import main; main()", "demo", "--n", "100", "--out", tmp_path / "out")
+    for _ in range(100 if NIGHTLY else 4):
+        process = started(*command)
+        time.sleep(1.0 + chance.uniform(0, 20.0 if NIGHTLY else 6.0))
+        if process.poll() is None:
+            out, err, _ = interrupted(process)
+            assert process.returncode == 130 and err.splitlines()[-1] == "motes demo: interrupted", err
+            assert "Traceback" not in err and not [path for path in Path(tmp_path).rglob(".*")]
+        else:
+            process.communicate()
