@@ -78,6 +78,7 @@ def test_an_ordinary_handler_is_not_heard_there():
     locked = "lambda words: (print('in', flush=True), [ctypes.CDLL(None).pthread_mutex_lock(mutex) for _ in range(2)])"
     process = started(ASLEEP.format(body=locked).replace("sys.argv =", "cli.interruption.heed = lambda name: None\nsys.argv ="))
     assert process.stdout.readline() == "in\n"
+    time.sleep(1.0)  # until it has locked itself out
     process.send_signal(signal.SIGINT)
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(1.0)
