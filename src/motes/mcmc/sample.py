@@ -88,7 +88,11 @@ def sample(
             raise KeyboardInterrupt(f"sample: interrupted before the first {pieces[-1][0]} draws; there is nothing to keep.") from None
         checks.warn(f"sample: interrupted after {int(kept[-1].steps)} steps; here are the draws so far. Continue with init=chains and the "
                     "same key.")
-    found = joined(kept)
+    return _looked_at(joined(kept))
+
+
+def _looked_at(found: Chains) -> Chains:
+    """Return chains; warn of what a caller should hear of at once."""
     try:
         for finding in judgement.at_once(found):
             checks.warn(str(finding))

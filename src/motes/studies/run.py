@@ -15,7 +15,7 @@ from motes.studies.experiment import Experiment
 from motes.studies.identity import of_filters, of_world
 from motes.studies.result import StudyResult, notes_of
 from motes.studies.store import Entry, Memory, Store
-from motes.studies.work import TRUTH, Work, batch_width, built, remote_block
+from motes.studies.work import TRUTH, Block, Work, batch_width, built, remote_block
 
 CHUNK = 8
 """Runs that are computed, and kept, at a time on a CPU."""
@@ -65,12 +65,15 @@ def study(
         if isinstance(kept, Store):
             kept.settle(of_world(plan), {TRUTH: Entry("", "truth")} | of_filters(plan), notes)
             kept.verify(repair)
-        tasks = _missing(plan, kept, chunk)
+        tasks, pending = _missing(plan, kept, chunk), {}
+        work = Work(plan, width) if executor is None else None
         try:
             with _watched(plan, tasks, store, executor is None) as seen, _bar(plan, tasks, progress) as drawn:
-                with _workers(experiment, plan, executor, width) as submit:
-                    _work_off(tasks, submit, kept, lambda runs: (seen(runs), drawn(runs)))
+                with _workers(experiment, work, executor, width) as submit:
+                    _work_off(tasks, submit, pending, kept, lambda runs: (seen(runs), drawn(runs)))
         except KeyboardInterrupt:
+            for block in _done(pending, work):
+                kept.put(*block)
             raise KeyboardInterrupt(_told(plan, kept, store, chunk)) from None
         labels = {name: repr(plan.assumed(name)[0]) for name in plan.filters}
         return StudyResult.read(kept, list(plan.filters), plan.runs, notes | {"labels": labels})
@@ -100,13 +103,12 @@ def _missing(plan: Experiment, kept: Store | Memory, chunk: int) -> list[Task]:
 
 
 @contextmanager
-def _workers(source: Any, plan: Experiment, executor: Any, width: int) -> Iterator[Callable[..., Any]]:
+def _workers(source: Any, work: Work | None, executor: Any, width: int) -> Iterator[Callable[..., Any]]:
     """Give what submits a task; leaving by an error ends the threads of this process after the run at hand, or leaves them to it."""
     settings = in_force()
-    if executor is not None:
+    if work is None:
         yield lambda *task: executor.submit(remote_block, source, for_another_process(settings), width, *task)
         return
-    work = Work(plan, width)
     with Workers(processors() if width == 1 else 1) as workers:
         try:
             yield lambda *task: workers.submit(work.block, settings, *task)
@@ -120,9 +122,10 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _work_off(tasks: list[Task], submit: Callable[..., Any], kept: Store | Memory, advance: Callable[[int], object]) -> None:
+def _work_off(
+    tasks: list[Task], submit: Callable[..., Any], pending: dict[Any, Task], kept: Store | Memory, advance: Callable[[int], object]
+) -> None:
     finished: SimpleQueue[Any] = SimpleQueue()
-    pending = {}
     try:
         for task in tasks:
             future = submit(*task)
@@ -134,10 +137,17 @@ def _work_off(tasks: list[Task], submit: Callable[..., Any], kept: Store | Memor
             kept.put(part, start, stop, future.result())
             advance(stop - start if part != TRUTH else 0)
     finally:
-        for future, (part, start, stop) in pending.items():
-            # what was done while this thread was busy, or interrupted, is not lost
-            if not future.cancel() and future.done() and future.exception() is None:
-                kept.put(part, start, stop, future.result())
+        for future in pending:
+            future.cancel()
+
+
+def _done(pending: dict[Any, Task], work: Work | None) -> Iterator[Block]:
+    """Give what was done but not kept when the study was interrupted: whole blocks, and the first runs of those at hand."""
+    for future, (part, start, stop) in pending.items():
+        if future.done() and not future.cancelled() and future.exception() is None:
+            yield part, start, stop, future.result()
+    if work is not None:
+        yield from work.unfinished()
 
 
 @contextmanager

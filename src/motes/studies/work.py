@@ -10,6 +10,7 @@ away.
 
 import importlib
 import threading
+from collections.abc import Iterator
 from contextlib import nullcontext
 from functools import cache, partial
 from typing import Any
@@ -39,6 +40,14 @@ def batch_width() -> int:
     return 1 if jax.default_backend() == "cpu" else WIDTH
 
 
+Block = tuple[str, int, int, dict[str, np.ndarray]]
+"""Part, first run, the one after the last, and arrays, run axis first."""
+
+
+def _in_one(pieces: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+
+
 class Work:
     """The runs of an experiment, to be computed by any number of threads."""
 
@@ -48,6 +57,7 @@ class Work:
         self.stopping = threading.Event()
         self._first = {name: threading.Lock() for name in (TRUTH, *experiment.filters)}
         self._compiled: set[str] = set()
+        self._at_hand: dict[tuple[str, int], list[dict[str, np.ndarray]]] = {}
 
     def block(self, settings: Settings, part: str, start: int, stop: int) -> dict[str, np.ndarray]:
         """Compute the runs from start to before stop of one part, run axis first.
@@ -55,14 +65,22 @@ class Work:
         Raises:
             KeyboardInterrupt: the study was stopped meanwhile.
         """
-        pieces = []
+        pieces = self._at_hand[part, start] = []
         with enforced(settings):
             for first in (start, *range(start - start % self.width + self.width, stop, self.width)):
                 # while the first run of a part compiles, other threads wait or take another part
                 with nullcontext() if part in self._compiled else self._first[part]:
                     pieces.append(self._batch(part, first, stop))
                     self._compiled.add(part)
-        return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+        del self._at_hand[part, start]
+        return _in_one(pieces)
+
+    def unfinished(self) -> Iterator[Block]:
+        """Give the first runs of the blocks that were not finished, after an interruption."""
+        for (part, start), pieces in list(self._at_hand.items()):
+            if pieces:
+                arrays = _in_one(list(pieces))
+                yield part, start, start + len(next(iter(arrays.values()))), arrays
 
     def _batch(self, part: str, first: int, stop: int) -> dict[str, np.ndarray]:
         if self.stopping.is_set():
