@@ -287,6 +287,14 @@ def test_report_of_a_store(tmp_path, monkeypatch, capsys):
     printed = capsys.readouterr().out
     assert "kalman" in printed and f"{result.table().column('RMSE')[0]:#.4g}" in printed and "page.html" in printed
     assert "<h1>Mine</h1>" in (tmp_path / "page.html").read_text()
+    (tmp_path / "runs").rename(tmp_path / "-rf")
+    monkeypatch.chdir(tmp_path)
+    assert main(["report", "--", "-rf", "--out=-o.html"]) == 0 and (tmp_path / "-o.html").is_file()
+    assert main(["report", "./-rf"]) == 0 and (tmp_path / "report.html").is_file()
+    refused(capsys, ["report", "-rf"], "options", "-rf")
+    refused(capsys, ["report", "--"], "the folder of a study first")
+    refused(capsys, ["run", "--", "-none.toml"], "-none.toml")
+    (tmp_path / "-rf").rename(tmp_path / "runs")
     refused(capsys, ["report"], "the folder of a study first", "nothing")
     refused(capsys, ["report", tmp_path], "ledger.sqlite", "the ledger of a study")
     refused(capsys, ["report", tmp_path / "runs", "--out", "page.txt"], "page.txt", ".html")

@@ -65,6 +65,32 @@ def test_bound():
     assert png(figure)[:4] == b"\x89PNG"
 
 
+NAMES = (r"\input", "$x^{")
+
+
+def named_pictures():
+    law = mo.Gaussian(jnp.zeros(2), jnp.eye(2))
+    model = mo.StateSpaceModel(law, mo.LinearGaussian(jnp.eye(2), jnp.eye(2)), mo.LinearGaussian(jnp.eye(2), jnp.eye(2)), NAMES)
+    yield mo.run(0, mo.KalmanFilter(), model, jnp.zeros((4, 2)))
+    yield mo.study(mo.Experiment(model, {NAMES[1]: mo.KalmanFilter()}, steps=4, runs=2))
+    yield mo.sample(0, mo.mcmc.RandomWalkMetropolis(1.0), lambda p: -0.5 * p[NAMES[1]] ** 2, {NAMES[1]: jnp.zeros(())}, draws=20, burn_in=0)
+    yield mo.Bound(jnp.ones((3, 1, 1)), NAMES[1:], NAMES[1])
+    yield mo.Plan(mo.ParticleFilter(n=9), 1e-3, mo.Table(COLUMNS, ((NAMES[1], 9, 1.0, None, 1.5, 0.1, None, 0, 16),)))
+
+
+@pytest.mark.filterwarnings("ignore::motes.core.checks.MotesWarning")
+def test_names_are_no_mathematics(monkeypatch):
+    results = list(named_pictures())
+    for result in results:
+        assert png(mo.plot(result))[:4] == b"\x89PNG"
+    errors = error_figure(np.arange(4.0), {NAMES[1]: np.ones(4)}, np.ones(4), 150.0, NAMES[1])
+    assert png(errors)[:4] == b"\x89PNG"
+    monkeypatch.setattr("matplotlib.text.Text.set_parse_math", lambda text, parse: None)
+    for result in results:
+        with pytest.raises(ValueError, match="x\\^"):
+            png(mo.plot(result))
+
+
 def test_no_global_state(history):
     import matplotlib.pyplot as pyplot
 
