@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -72,8 +72,9 @@ def study(
                 with _workers(experiment, work, executor, width) as submit:
                     _work_off(tasks, submit, pending, kept, lambda runs: (seen(runs), drawn(runs)))
         except KeyboardInterrupt:
-            for block in _done(pending, work):
-                kept.put(*block)
+            with suppress(KeyboardInterrupt):  # of somebody who will not wait
+                for block in _done(pending, work):
+                    kept.put(*block)
             raise KeyboardInterrupt(_told(plan, kept, store, chunk)) from None
         labels = {name: repr(plan.assumed(name)[0]) for name in plan.filters}
         return StudyResult.read(kept, list(plan.filters), plan.runs, notes | {"labels": labels})
