@@ -16,6 +16,7 @@ from motes.filters.needs import as_state_space
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
+from motes.models.programs import Beside
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
 
 KIND = "Kalman filter at the true track"
@@ -47,11 +48,12 @@ def kalman_at_truth(model: Any, xs: jax.Array, inputs: Inputs = None) -> Bound:
     xs = checks.as_float("kalman_at_truth xs", xs).astype(given.dtype)
     checks.shape("kalman_at_truth xs", xs, (None, given.size), "(steps, states)")
     inputs = checked_inputs(inputs, xs.shape[0], "xs")
-    return Bound(_covariances(canonical(model, jax.tree.map(one_of, inputs)), xs, inputs), given.names, KIND)
+    known = canonical(model, jax.tree.map(one_of, inputs))
+    return Bound(_covariances(known, xs, inputs, Beside(known)), given.names, KIND)
 
 
 @jitted
-def _covariances(given: Any, xs: jax.Array, inputs: Inputs) -> jax.Array:
+def _covariances(given: Any, xs: jax.Array, inputs: Inputs, beside: Beside) -> jax.Array:
     model: StateSpaceModel = as_state_space("kalman_at_truth", given)
     model.check(at_step(inputs, 0))
 

@@ -29,6 +29,7 @@ from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
+from motes.models.programs import Beside
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
 from motes.models.structure import trace
 
@@ -67,7 +68,8 @@ def posterior_cramer_rao(key: KeyLike, model: Any, steps: int, trajectories: int
     checks.positive_integer("posterior_cramer_rao trajectories", trajectories)
     inputs = checked_inputs(inputs, steps, "steps")
     names = _check_model(model)
-    covs, faults = _recursion(random.as_key(key), canonical(model, jax.tree.map(one_of, inputs)), steps, trajectories, inputs)
+    known = canonical(model, jax.tree.map(one_of, inputs))
+    covs, faults = _recursion(random.as_key(key), known, steps, trajectories, inputs, Beside(known))
     if checks.is_concrete(faults) and np.any(faults):
         step = int(np.argmax(np.asarray(faults) > 0))
         argument, expected, found = FAULTS[int(faults[step])]
@@ -91,7 +93,9 @@ def _check_model(model: Any) -> tuple[str, ...]:
 
 
 @partial(jitted, static_argnums=(2, 3))
-def _recursion(key: jax.Array, given: Any, steps: int, trajectories: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
+def _recursion(
+    key: jax.Array, given: Any, steps: int, trajectories: int, inputs: Inputs, beside: Beside
+) -> tuple[jax.Array, jax.Array]:
     """Return the bounds `(t, x, x)` and the first fault so far `(t,)`."""
     model: StateSpaceModel = as_state_space("posterior_cramer_rao", given)
     model.check(at_step(inputs, 0))

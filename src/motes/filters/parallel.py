@@ -23,6 +23,7 @@ from motes.filters.run import checked_data
 from motes.laws.gaussian import Gaussian, among, zeroed
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
+from motes.models.programs import Beside
 from motes.models.state_space import StateSpaceModel, at_step, driven
 
 
@@ -47,7 +48,8 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
         CollapseError: a measurement lies beyond all reason (outside jit only).
     """
     ys, inputs = checked_data(model, ys, inputs)
-    found = _run(canonical(model, jax.tree.map(one_of, inputs), one_of(ys)), ys, inputs)
+    known = canonical(model, jax.tree.map(one_of, inputs), one_of(ys))
+    found = _run(known, ys, inputs, Beside(known))
     history = replace(found, label="KalmanFilter() in parallel")
     if checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
@@ -55,7 +57,7 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
 
 
 @jitted
-def _run(model: Any, ys: jax.Array, inputs: Inputs) -> History:
+def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> History:
     model, told = driven(model, inputs, ys)
     model = as_linear_model("run_in_parallel", model, at_step(told, 0))
     if model.sensor.angles:

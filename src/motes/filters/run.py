@@ -21,6 +21,7 @@ from motes.laws.conditional import Conditional
 from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.jump_markov import JumpMarkovModel, modes_of
 from motes.models.mixed_linear import MixedLinearModel
+from motes.models.programs import Beside
 from motes.models.state_space import Previous, StateSpaceModel, at_step, checked_inputs, circular, decorrelated, measurement_size
 from motes.native import report
 
@@ -66,7 +67,7 @@ def run(
     alike = first is None or jax.tree.map(shape_of, first.u) == u
     known = canonical_parts(filter, model, u, one_of(ys)) if alike else (filter, model)
     # outside of jit the knobs print as numbers
-    history = replace(_run(key, *known, ys, inputs, keep, first), label=repr(filter))
+    history = replace(_run(key, *known, ys, inputs, (keep, Beside((*known, keep))), first), label=repr(filter))
     if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
     return history
@@ -88,10 +89,12 @@ def run_in_chunks(
         yield part
 
 
-@partial(jitted, static_argnames=("keep",))
-def _run(key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
+@partial(jitted, static_argnames=("kept",))
+def _run(
+    key: jax.Array, filter: Filter, model: Any, ys: jax.Array, inputs: Inputs, kept: tuple[Keep, Beside], first: Carry | None
+) -> History:
     with report.collected() as notes:
-        history = _scanned(Engine(random.as_key(key), filter, model), ys, inputs, keep, first)
+        history = _scanned(Engine(random.as_key(key), filter, model), ys, inputs, kept[0], first)
         report.complete(notes, type(filter).__name__)
     return replace(history, engine=report.summary(notes))
 
@@ -129,7 +132,8 @@ def canonical_parts(filter: Filter, model: Any, u: Inputs, y: Any) -> tuple[Filt
     model = canonical(model, u, y)
     x = jax.ShapeDtypeStruct((model.size,), model.dtype)
     # a conditional among the knobs is a proposal: its functions see the pair of inputs and measurement
-    proposals = {name: canonical_conditional(knob, x, (u, y), x) for name, knob in values(filter).items() if isinstance(knob, Conditional)}
+    proposals = {name: canonical_conditional(f"{type(filter).__name__} {name}", knob, x, (u, y), x)
+                 for name, knob in values(filter).items() if isinstance(knob, Conditional)}  # fmt: skip
     return replace(filter, **proposals) if proposals else filter, model
 
 

@@ -16,13 +16,14 @@ from motes.filters.interface import Filter, Info
 from motes.filters.run import Engine, canonical_parts, checked_data, refuse_infinite
 from motes.io import archive
 from motes.models.canonical import shape_of
+from motes.models.programs import Beside
 from motes.models.state_space import numbers_of
 from motes.native import report
 
 
 def _engine(form: Any, parts: list[Any]) -> Engine:
     # key, filter and model come as arrays and form: to take them apart anew at each step would cost more than many a filter does
-    return Engine(*jax.tree.unflatten(form, parts))
+    return Engine(*jax.tree.unflatten(form[0], parts))
 
 
 @partial(jitted, static_argnums=0)
@@ -134,9 +135,12 @@ class Stream:
         if self._form is None:
             self._input_shapes = shapes
             self._parts = [jnp.asarray(leaf) for leaf in jax.tree.leaves((self.key, self.filter, self.model))]
-            self._form = jax.tree.structure((self.key, *canonical_parts(self.filter, self.model, u, y)))
+            known = canonical_parts(self.filter, self.model, u, y)
         elif shapes != self._input_shapes:
-            self._form = jax.tree.structure((self.key, self.filter, self.model))
+            known = (self.filter, self.model)
+        else:
+            return
+        self._form = (jax.tree.structure((self.key, *known)), Beside(known))
 
     def _checked(self, y: Any) -> Any:
         if self._carry is None:

@@ -12,7 +12,7 @@ import numpy as np
 from motes.core import checks, random
 from motes.core.compiling import jitted
 from motes.core.progress import tracked
-from motes.core.record import is_function, record
+from motes.core.record import is_function, record, static
 from motes.core.settings import enforced, in_force
 from motes.core.types import KeyLike
 from motes.core.watchdog import watched
@@ -20,7 +20,8 @@ from motes.core.workers import Workers
 from motes.mcmc import judgement
 from motes.mcmc.chains import Chains, joined
 from motes.mcmc.interface import Info, Kernel, LogDensity, State, as_kernel, check_start
-from motes.models.canonical import canonical_function, shape_of
+from motes.models.canonical import shape_of
+from motes.models.programs import Beside, canonical_function
 
 PIECES, MOST_PIECES = 20, 200
 """Chains are drawn in about so many pieces, at most as many as the second, for progress and so that an interruption loses little."""
@@ -31,6 +32,7 @@ class Target:
     """The log density as an argument of compiled code: a function is structure, a record with data in it is data."""
 
     log_density: Any
+    beside: Beside = static()
 
 
 def sample(
@@ -69,7 +71,7 @@ def sample(
     else:
         positions = _starts(random.child(key, random.INITIAL), init, chains)
         first = jax.tree.map(lambda leaf: leaf[0], positions)
-        target, begun = _target(log_density, positions), 0
+        target, begun = _target(kernel, log_density, positions), 0
         values = jax.vmap(target.log_density)(positions)
         checks.shape("log_density at init", values, (None,), "(one number for each chain)")
         check_start(values)
@@ -123,7 +125,7 @@ def _continued(kernel: Kernel, log_density: LogDensity, chains: Chains) -> tuple
     """Return what to go on with, or refuse what these chains cannot go on with."""
     if not isinstance(chains.last, State):
         checks.refuse("sample init", "chains that were loaded with their kernel and log_density", "chains loaded without")
-    target = _target(log_density, chains.last.position)
+    target = _target(kernel, log_density, chains.last.position)
     shape = jax.tree.map(jax.typeof, chains.last)
     try:
         like = jax.tree.map(jax.typeof, jax.eval_shape(_begin, random.as_key(0), kernel, target, chains.last.position))
@@ -149,12 +151,13 @@ def _starts(key: jax.Array, init: Any, chains: int) -> Any:
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (chains, *leaf.shape)), position)
 
 
-def _target(log_density: LogDensity, positions: Any) -> Target:
+def _target(kernel: Kernel, log_density: LogDensity, positions: Any) -> Target:
     if hasattr(log_density, "estimate") and is_function(log_density):
         checks.refuse("sample log_density", "one whose class JAX knows as a tree (it has an estimate)", type(log_density).__name__,
                       "Make it a frozen dataclass and register it by jax.tree_util.register_dataclass.")
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), jax.tree.map(shape_of, positions))
-    return Target(canonical_function(log_density, (one,)))
+    known = canonical_function(log_density, (one,), "log_density(position)")
+    return Target(known, Beside((kernel, known)))
 
 
 def _pieces(burn_in: int, draws: int) -> list[tuple[int, bool]]:

@@ -13,6 +13,7 @@ from motes.core.types import Inputs, KeyLike
 from motes.laws.conditional import Custom
 from motes.models.canonical import canonical, one_of
 from motes.models.jump_markov import JumpMarkovModel
+from motes.models.programs import Beside
 from motes.models.state_space import Previous, StateSpaceModel, at_step, checked_inputs, decorrelated
 
 
@@ -34,7 +35,8 @@ def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tup
     checks.positive_integer("simulate steps", steps)
     inputs = checked_inputs(inputs, steps, "steps")
     key = random.as_key(key)
-    return _simulate(key, _drawn_from(model, inputs), steps, inputs)
+    known = _drawn_from(model, inputs)
+    return _simulate(key, known, steps, inputs, Beside(known))
 
 
 def measurements(key: KeyLike, model: Any, xs: jax.Array, inputs: Inputs = None) -> jax.Array:
@@ -58,7 +60,8 @@ def measurements(key: KeyLike, model: Any, xs: jax.Array, inputs: Inputs = None)
     xs = checks.as_float("xs", xs).astype(model.dtype)
     checks.shape("xs", xs, (None, model.size), "(steps, states)")
     inputs = checked_inputs(inputs, xs.shape[0], "xs")
-    return _measurements(random.as_key(key), _drawn_from(model, inputs), xs, inputs)
+    known = _drawn_from(model, inputs)
+    return _measurements(random.as_key(key), known, xs, inputs, Beside(known))
 
 
 def _with_mode(model: Any) -> Any:
@@ -79,7 +82,7 @@ def _measured(key: jax.Array, model: StateSpaceModel, x: jax.Array, u: Inputs, t
 
 
 @jitted
-def _measurements(key: jax.Array, given: Any, xs: jax.Array, inputs: Inputs) -> jax.Array:
+def _measurements(key: jax.Array, given: Any, xs: jax.Array, inputs: Inputs, beside: Beside) -> jax.Array:
     model = given if isinstance(given, StateSpaceModel) else given.joined()
     key = random.child(key, random.NOISE)
     steps = jnp.arange(xs.shape[0], dtype=jnp.int32)
@@ -87,7 +90,7 @@ def _measurements(key: jax.Array, given: Any, xs: jax.Array, inputs: Inputs) -> 
 
 
 @partial(jitted, static_argnames=("steps",))
-def _simulate(key: jax.Array, given: Any, steps: int, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
+def _simulate(key: jax.Array, given: Any, steps: int, inputs: Inputs, beside: Beside) -> tuple[jax.Array, jax.Array]:
     model = given if isinstance(given, StateSpaceModel) else given.joined()
     model.check(at_step(inputs, 0))
     # a filter that is given the same key must not draw the truth as its first particle

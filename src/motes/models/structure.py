@@ -18,6 +18,7 @@ from motes.core.types import Inputs
 from motes.laws.conditional import AdditiveGaussian, Conditional, Custom
 from motes.laws.gaussian import Gaussian
 from motes.models.affinity import dependence
+from motes.models.canonical import canonical
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import Previous, StateSpaceModel, decorrelated, measurement_size
 
@@ -89,7 +90,7 @@ def structure(model: StateSpaceModel, inputs: Inputs = None) -> Structure:
     if model.noise_cross_cov is not None:
         size = measurement_size(model, inputs) or 0
         return structure(decorrelated(model), Previous(inputs, inputs, jnp.zeros((size,), model.dtype)))
-    traced = trace(model, inputs)
+    traced = trace(canonical(model, inputs), inputs)
     best = largest(traced, model.size)
     return Structure(best, model.names, _covariance(traced, best, model.size), _reasons(traced, best, model.names))
 

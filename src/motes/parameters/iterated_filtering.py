@@ -17,6 +17,7 @@ from motes.core.types import KeyLike
 from motes.filters import keep
 from motes.filters.particle import ParticleFilter
 from motes.filters.run import run
+from motes.models.programs import Beside
 from motes.parameters.augmented import augmented
 from motes.parameters.posterior import Parametric
 from motes.resampling.schemes import Systematic
@@ -62,11 +63,12 @@ def iterated_filtering(key: KeyLike, given: Parametric, n: int, deviations: Any,
     first = jnp.broadcast_to(checks.as_float("iterated_filtering deviations", deviations), (given.size,))
     if not bool((first > 0).all()):
         checks.refuse("iterated_filtering deviations", "positive numbers", first.tolist())
-    key = random.as_key(key)
+    key, beside = random.as_key(key), Beside(given)
     thetas = given.prior.sample(random.child(key, random.INITIAL), n)
     told = []
     for turn in tracked(range(rounds), "iterated filtering", None):
-        thetas, likelihood, collapsed = _round(random.step_key(key, turn), given, thetas, first * 0.5 ** (turn / (HALVED_AFTER * rounds)))
+        walk = first * 0.5 ** (turn / (HALVED_AFTER * rounds))
+        thetas, likelihood, collapsed = _round(random.step_key(key, turn), given, thetas, walk, beside)
         if bool(collapsed):
             checks.refuse("iterated_filtering given", "parameters that explain the measurements", f"a collapse in round {turn}",
                           "Use more particles, or a prior that fits.", checks.CollapseError)
@@ -76,7 +78,9 @@ def iterated_filtering(key: KeyLike, given: Parametric, n: int, deviations: Any,
 
 
 @jitted
-def _round(key: jax.Array, given: Parametric, thetas: jax.Array, deviations: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _round(
+    key: jax.Array, given: Parametric, thetas: jax.Array, deviations: jax.Array, beside: Beside
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     size, n = thetas.shape
     model = augmented(given, thetas, random.child(key, random.WORLD), deviations)
     history = run(random.child(key, random.FILTER), ParticleFilter(n=n), model, given.ys, given.inputs, keep.nothing)

@@ -20,6 +20,7 @@ from motes.core.record import replace
 from motes.core.types import KeyLike
 from motes.filters.interface import weigh
 from motes.laws.cloud import Cloud, weighted_moments
+from motes.models.programs import Beside
 from motes.models.state_space import at_step
 from motes.parameters.augmented import augmented
 from motes.parameters.posterior import Parametric
@@ -63,7 +64,7 @@ def liu_west(key: KeyLike, given: Parametric, n: int, discount: float = 0.98) ->
     checks.positive_integer("liu_west n", n)
     if not 0.5 < discount < 1:
         checks.refuse("liu_west discount", "a number between 0.5 and 1", discount)
-    cloud, (mean, cov, gains, sizes) = _filtered(random.as_key(key), given, n, (3 * discount - 1) / (2 * discount))
+    cloud, (mean, cov, gains, sizes) = _filtered(random.as_key(key), given, n, (3 * discount - 1) / (2 * discount), Beside(given))
     total = float(np.sum(np.asarray(gains, np.float64)))
     if not np.isfinite(total):
         checks.refuse("liu_west given", "particles that explain the measurements", f"none at step {int(np.argmax(~np.isfinite(gains)))}",
@@ -72,7 +73,7 @@ def liu_west(key: KeyLike, given: Parametric, n: int, discount: float = 0.98) ->
 
 
 @partial(jitted, static_argnames="n")
-def _filtered(key: jax.Array, given: Parametric, n: int, a: Any) -> tuple[Cloud, tuple[jax.Array, ...]]:
+def _filtered(key: jax.Array, given: Parametric, n: int, a: Any, beside: Beside) -> tuple[Cloud, tuple[jax.Array, ...]]:
     size = given.size
     opening = random.step_key(key, 0)
     thetas = given.prior.sample(random.child(opening, random.INITIAL), n)

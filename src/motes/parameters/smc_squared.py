@@ -21,6 +21,7 @@ from motes.filters.run import Engine
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.mcmc.interface import State, settle
 from motes.mcmc.metropolis import RandomWalkMetropolis
+from motes.models.programs import Beside
 from motes.models.state_space import at_step
 from motes.montecarlo.tempering import shaped
 from motes.parameters.posterior import Posterior
@@ -65,14 +66,14 @@ def smc_squared(key: KeyLike, posterior: Posterior, n: int, moves: int = 3, ess:
     for name, value in (("n", n), ("moves", moves)):
         checks.positive_integer(f"smc_squared {name}", value)
     checks.above_zero("smc_squared ess", ess, 1.0)
-    key = random.as_key(key)
+    key, beside = random.as_key(key), Beside(posterior)
     thetas = posterior.prior.sample(random.child(key, random.INITIAL), n)
     keys = random.step_keys(random.child(key, random.FILTER), n)
-    state, log_weights = _begun(posterior, thetas.T, keys), logspace.uniform_weights(n, thetas.dtype)
+    state, log_weights = _begun(posterior, thetas.T, keys, beside), logspace.uniform_weights(n, thetas.dtype)
     told: list[tuple[Any, ...]] = []
     total = 0.0
     for t in tracked(range(posterior.ys.shape[0]), "SMC^2", None):
-        state, log_weights, gain = _taken_in(posterior, state, log_weights, jnp.int32(t))
+        state, log_weights, gain = _taken_in(posterior, state, log_weights, jnp.int32(t), beside)
         total += float(gain)
         if not np.isfinite(total):
             checks.refuse("smc_squared prior", "parameters that explain the measurements", f"none of {n} at step {t}",
@@ -81,7 +82,7 @@ def smc_squared(key: KeyLike, posterior: Posterior, n: int, moves: int = 3, ess:
         mean, cov = weighted_moments(log_weights, state.position.T)
         told.append((total, np.asarray(mean), np.asarray(cov), size))
         if size < ess * n:
-            state, accepted = _moved(random.step_key(key, t), posterior, state, log_weights, jnp.int32(t), moves)
+            state, accepted = _moved(random.step_key(key, t), posterior, state, log_weights, (jnp.int32(t), beside), moves)
             log_weights, rate = logspace.uniform_weights(n, thetas.dtype), float(accepted)
         told[-1] = (*told[-1], rate)
     cloud = Cloud(state.position.T, log_weights, jnp.arange(n, dtype=jnp.int32))
@@ -103,7 +104,7 @@ def _next(posterior: Posterior, key: jax.Array, theta: jax.Array, carry: Carry, 
 
 
 @jitted
-def _begun(posterior: Posterior, thetas: jax.Array, keys: jax.Array) -> State:
+def _begun(posterior: Posterior, thetas: jax.Array, keys: jax.Array, beside: Beside) -> State:
     """Return what each parameter carries along: itself, its log posterior so far, its filter."""
 
     def one(theta: jax.Array, key: jax.Array) -> State:
@@ -113,7 +114,9 @@ def _begun(posterior: Posterior, thetas: jax.Array, keys: jax.Array) -> State:
 
 
 @jitted
-def _taken_in(posterior: Posterior, state: State, log_weights: jax.Array, t: jax.Array) -> tuple[State, jax.Array, jax.Array]:
+def _taken_in(
+    posterior: Posterior, state: State, log_weights: jax.Array, t: jax.Array, beside: Beside
+) -> tuple[State, jax.Array, jax.Array]:
     def one(state: State) -> tuple[State, jax.Array]:
         key, carry = state.memory
         carry, gain = _next(posterior, key, state.position, carry, t)
@@ -125,20 +128,22 @@ def _taken_in(posterior: Posterior, state: State, log_weights: jax.Array, t: jax
 
 
 def _moved(
-    key: jax.Array, posterior: Posterior, state: State, log_weights: jax.Array, t: jax.Array, moves: int
+    key: jax.Array, posterior: Posterior, state: State, log_weights: jax.Array, at: tuple[jax.Array, Beside], moves: int
 ) -> tuple[State, jax.Array]:
     walk = shaped(RandomWalkMetropolis(), log_weights, state.position.T)
     ancestors = Systematic().ancestors(random.child(key, random.RESAMPLE), log_weights, log_weights.shape[0])
     state = jax.tree.map(lambda leaf: leaf[ancestors], state)
     rates = []
     for turn in range(moves):
-        state, rate = _once(random.step_key(random.child(key, random.PREDICT), turn), posterior, state, walk, t)
+        state, rate = _once(random.step_key(random.child(key, random.PREDICT), turn), posterior, state, walk, *at)
         rates.append(rate)
     return state, jnp.mean(jnp.stack(rates))
 
 
 @jitted
-def _once(key: jax.Array, posterior: Posterior, state: State, walk: RandomWalkMetropolis, t: jax.Array) -> tuple[State, jax.Array]:
+def _once(
+    key: jax.Array, posterior: Posterior, state: State, walk: RandomWalkMetropolis, t: jax.Array, beside: Beside
+) -> tuple[State, jax.Array]:
     """Move all parameters once, each with a new filter over the measurements so far."""
 
     def one(key: jax.Array, state: State) -> tuple[State, jax.Array]:

@@ -12,6 +12,7 @@ from motes.core.types import Inputs, KeyLike
 from motes.filters.history import History
 from motes.filters.run import checked_data
 from motes.models.canonical import canonical, one_of
+from motes.models.programs import Beside
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs, driven
 from motes.smoothers.interface import Smoothed, Smoother, Steps
 
@@ -47,12 +48,14 @@ def smooth(
         checks.refuse("smooth ys", "the measurements of the run (its noises are correlated)", "None")
     known = canonical(model, jax.tree.map(one_of, inputs), history.last.y)
     # the label says with which knobs, and would make each filter compile anew
-    found = _smooth(random.key_or_data(key), smoother, known, replace(history, label=""), ys, inputs)
+    found = _smooth(random.key_or_data(key), smoother, known, replace(history, label=""), ys, inputs, Beside((smoother, known)))
     return replace(found, names=history.names, label=repr(smoother))
 
 
 @jitted
-def _smooth(key: jax.Array, smoother: Smoother, model: Any, history: History, ys: jax.Array | None, inputs: Inputs) -> Smoothed:
+def _smooth(
+    key: jax.Array, smoother: Smoother, model: Any, history: History, ys: jax.Array | None, inputs: Inputs, beside: Beside
+) -> Smoothed:
     model, inputs = driven(model, inputs, ys)
     count = history.info.ess.shape[0]
     prepared = smoother.prepare(model, history, at_step(inputs, 0))

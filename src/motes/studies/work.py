@@ -27,6 +27,7 @@ from motes.diagnostics.consistency import normalized_errors
 from motes.filters.interface import Info
 from motes.filters.run import run
 from motes.laws.circular import wrap
+from motes.models.programs import Beside
 from motes.studies.experiment import Experiment, places
 
 TRUTH = ""
@@ -89,12 +90,12 @@ class Work:
         if self.width == 1:
             found = jax.tree.map(lambda leaf: leaf[None], one_run(self.experiment, part, first))
         else:
-            found = _batched(self.experiment, part, base + jnp.arange(self.width))
+            found = _batched(self.experiment, part, base + jnp.arange(self.width), Beside(self.experiment))
         return {name: np.asarray(value)[first - base : stop - base] for name, value in found.items()}
 
 
 @partial(jitted, static_argnames=("part",))
-def _batched(experiment: Experiment, part: str, numbers: jax.Array) -> dict[str, jax.Array]:
+def _batched(experiment: Experiment, part: str, numbers: jax.Array, beside: Beside) -> dict[str, jax.Array]:
     return jax.vmap(lambda number: one_run(experiment, part, number))(numbers)
 
 

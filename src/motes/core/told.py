@@ -1,0 +1,108 @@
+"""What goes wrong in a function of the user's, told in one line: the function, its file and line, and the cure."""
+
+import inspect
+import linecache
+import re
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import jax
+
+from motes.core.checks import MotesError
+
+_LIBRARIES = ("jax", "jaxlib", "numpy", "scipy", "motes", "blackjax", "functools", "contextlib", "math")
+LONGEST_LINE, LONGEST_FILE = 80, 100
+
+
+def called(role: str, function: Callable[..., Any], *args: Any) -> Any:
+    """Call a function of the user's.
+
+    Args:
+        role: what it is, with its arguments, such as "dynamics f(x, u, t)".
+        function: the function.
+        args: its arguments.
+
+    Raises:
+        MotesError: it fails, or returns nothing.
+    """
+    try:
+        found = function(*args)
+    except MotesError:
+        raise
+    except Exception as reason:
+        raise MotesError(_line(role, function, args, reason)) from None
+    if found is None:
+        raise MotesError(f"{role}: expected a result, got None from {_place(function)}. Does it end in return?")
+    return found
+
+
+def _line(role: str, function: Any, args: tuple[Any, ...], reason: Exception) -> str:
+    given = _does_not_take(function, args)
+    if given:
+        hint = "It must take all of them; those that it does not need may stay unused."
+        return f"{role}: expected a function of {len(args)} arguments, got {given} at {_place(function)}. {hint}"
+    where, source = _frame(reason.__traceback__) or (_place(function), "")
+    first = (str(reason).strip().splitlines() or [""])[0]
+    shown = f' ("{source[:LONGEST_LINE]}")' if source else ""
+    told = f"{role}: expected a function that JAX can trace, got {type(reason).__name__} at {where}{shown}: {first[:120]}"
+    return f"{told} {_cure(reason, source, args)}".rstrip()
+
+
+def _does_not_take(function: Any, args: tuple[Any, ...]) -> str:
+    """Return name and arguments of a function that cannot be called with so many."""
+    try:
+        signature = inspect.signature(function)
+        signature.bind(*args)
+    except ValueError:
+        return ""
+    except TypeError:
+        return f"{getattr(function, '__name__', type(function).__name__)}{signature}"  # type: ignore[possibly-undefined]
+    return ""
+
+
+def _frame(trace: TracebackType | None) -> tuple[str, str] | None:
+    """Return where the last line of the user's was, and that line."""
+    found = None
+    while trace is not None:
+        frame = trace.tb_frame
+        module = str(frame.f_globals.get("__name__", ""))
+        if module.partition(".")[0] not in _LIBRARIES or module.startswith("motes.applications"):
+            name, code, line = frame.f_code.co_name, frame.f_code, trace.tb_lineno
+            found = f"{name}, {_file(code.co_filename)}, line {line}", linecache.getline(code.co_filename, line, frame.f_globals).strip()
+        trace = trace.tb_next
+    return found
+
+
+def _place(function: Any) -> str:
+    """Return where a function is written."""
+    while hasattr(function, "func") or hasattr(function, "__wrapped__"):
+        function = function.func if hasattr(function, "func") else function.__wrapped__
+    code = getattr(function, "__code__", None) or getattr(vars(type(function)).get("__call__"), "__code__", None)
+    name = getattr(function, "__name__", type(function).__name__)
+    return name if code is None else f"{name}, {_file(code.co_filename)}, line {code.co_firstlineno}"
+
+
+def _file(name: str) -> str:
+    return name if len(name) <= LONGEST_FILE else "..." + name[3 - LONGEST_FILE :]
+
+
+def _cure(reason: Exception, source: str, args: tuple[Any, ...]) -> str:
+    """Return what to write instead, as far as it is known."""
+    errors = jax.errors
+    foreign = re.search(r"\b(?:math|np|numpy|cmath)\.((?:linalg\.)?\w+)", source)
+    if isinstance(reason, errors.TracerBoolConversionError):
+        return "States are not known while it is traced: write jnp.where(condition, a, b) for `if`, jnp.minimum for min, & for `and`."
+    if isinstance(reason, (errors.TracerArrayConversionError, errors.ConcretizationTypeError)) and foreign:
+        return f"Write jnp.{foreign[1]} for {foreign[0]}."
+    if isinstance(reason, errors.TracerIntegerConversionError):
+        return "Write jnp.asarray(table)[i] where i comes from states, inputs or t."
+    if isinstance(reason, errors.NonConcreteBooleanIndexError):
+        return "Write jnp.where(mask, a, b) for an index by a mask."
+    if isinstance(reason, (errors.TracerArrayConversionError, errors.ConcretizationTypeError)):
+        return "States are not known while a function is traced: write jnp functions for those of math and NumPy, and no float() or int()."
+    if "NoneType" in str(reason) and any(arg is None for arg in args):
+        return "It reads inputs, and there are none: give inputs=."
+    if isinstance(reason, TypeError) and "immutable" in str(reason):
+        return "Write x = x.at[i].set(value) for x[i] = value."
+    return ""
