@@ -293,7 +293,7 @@ def test_posteriors_see_changes():
     for gain in (0.5, 0.25):
         set_gain(gain)
         posterior = mo.parameters.Posterior(prior, model, mo.KalmanFilter(), ys)
-        found.append(mo.parameters.liu_west(0, posterior, 30).log_evidence)
+        found.append(mo.parameters.liu_west(0, posterior, 30).log_likelihood)
     assert found[0] != found[1]
 
 
