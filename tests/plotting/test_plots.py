@@ -65,7 +65,7 @@ def test_bound():
     assert png(figure)[:4] == b"\x89PNG"
 
 
-NAMES = (r"\input", "$x^{")
+NAMES = (r"$\input$", "$x^{$")
 
 
 def named_pictures():
@@ -87,7 +87,7 @@ def test_names_are_no_mathematics(monkeypatch):
     assert png(errors)[:4] == b"\x89PNG"
     monkeypatch.setattr("matplotlib.text.Text.set_parse_math", lambda text, parse: setattr(text, "_parse_math", True))
     for result in results:
-        with pytest.raises(ValueError, match="x\\^"):
+        with pytest.raises(ValueError, match="ParseFatalException|ParseException|ParseSyntaxException"):
             png(mo.plot(result))
 
 
