@@ -29,12 +29,12 @@ class Columns(dict[str, np.ndarray]):
         self.source, self.word, self.places = source, word, places
 
     def place(self, row: int) -> str:
-        """Return what the row with an index is called in messages, such as "line 7"."""
-        return f"{self.word} {self.places[row]}"
+        """Return what the row with an index is called in messages, such as "line 7 (row 5)"."""
+        return f"{self.word} {self.places[row]}" + (f" (row {row + 1})" if self.word != "row" else "")
 
     def times(self, name: str, *, repeats: bool = True) -> tuple[float, np.ndarray]:
         """Split a column of times as `times` does; messages name file, column, and line or row."""
-        rows = [f"{self.word} {place}" for place in self.places]
+        rows = [self.place(row) for row in range(len(self.places))]
         return times(self[name], repeats=repeats, name=f"{self.source}: column {name!r}", rows=rows)
 
 

@@ -78,7 +78,7 @@ def _check(table: Columns, name: str, bad: np.ndarray, expected: str, hint: str 
     if bad.any():
         row = int(np.argmax(bad))
         value = table[name][row]
-        given = f"{'none' if np.isnan(value) else f'{value:g}'} in {table.place(row)} (row {row + 1})"
+        given = f"{'none' if np.isnan(value) else f'{value:g}'} in {table.place(row)}"
         checks.refuse(f"{table.source}: column {name!r}", expected, given, hint, checks.FileError)
 
 
