@@ -43,9 +43,9 @@ class MotesWarning(UserWarning):
 
 
 def warn(text: str) -> None:
-    """Warn in one line, at the place outside of the library from where it was called."""
+    """Warn in one line, at the place outside of the library (and JAX) from where it was called."""
     level, frame = 1, sys._getframe()
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("motes.", "jax.")):
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("motes.", "jax.", "contextlib")):
         level, frame = level + 1, frame.f_back
     warnings.warn(str(MotesError(text)), MotesWarning, stacklevel=level)
 

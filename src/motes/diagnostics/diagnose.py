@@ -10,14 +10,13 @@ from motes.core.findings import Diagnosis, Finding
 from motes.diagnostics.consistency import chi_square_band, nees
 from motes.diagnostics.undeclared import undeclared_angles
 from motes.diagnostics.weights import TRUSTED, pareto_k, surviving
+from motes.filters import notices
 from motes.filters.history import History
 
 FAR = 12.5
 """Nats below a perfect fit, five standard deviations: a best particle or a prediction this far off has been surprised."""
 IN_A_ROW = 3
 """So many surprises one after the other are no outlier any more."""
-STARVED, STARVED_FOR = 2.0, 5
-"""An effective sample size below the one for as many steps as the other: the filter lives on single particles."""
 SCARCE = 0.02
 """Share of the particles below which a median effective sample size is called low."""
 LEVEL = 0.999
@@ -27,9 +26,9 @@ LEVEL = 0.999
 def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) -> Diagnosis:
     """Judge a run and say in words what is wrong and what to try.
 
-    Looks for collapse and surprise (the measurements lie far from all particles), starvation and low effective sample sizes, likelihoods
-    that are not numbers; at states that look like angles which nobody declared; in runs with kept laws at heavy-tailed weights and
-    degenerate paths; with the truth at covariances too small or too large.
+    Looks for what `run` warns of (collapse, numbers too coarse for their noise, starvation at any step, the alarm), for measurements that
+    lie far from what was predicted, low effective sample sizes, likelihoods that are not numbers; at states that look like angles which
+    nobody declared; in runs with kept laws at heavy-tailed weights and degenerate paths; with the truth at covariances too small or large.
 
     Args:
         history: of a run. With `keep=mo.keep.laws` more can be seen.
@@ -41,8 +40,9 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     """
     if not isinstance(history, History):
         checks.refuse("diagnose history", "what mo.run gave", type(history).__name__)
-    found = [_collapse(history), *_surprise(history), *_weights(history), _invalid(history)]
-    found.append(undeclared_angles(history))
+    found = [*notices.notices(history), _scarce(history), _invalid(history), undeclared_angles(history)]
+    if not notices.coarseness(history):  # whose errors have another cure than noise
+        found += _surprise(history)
     if "law" in history.kept:
         found += _laws(history)
     if truth is not None:
@@ -50,61 +50,44 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     return Diagnosis.of(found)
 
 
-def _collapse(history: History) -> Finding | None:
-    steps = np.flatnonzero(np.asarray(history.info.collapsed))
-    if not steps.size:
-        return None
-    text = f"at {_steps(history, steps)} no particle explained the measurement, which was then not used."
-    return Finding("collapse", text, "Check the measurement there; widen the noises, or use more particles or a proposal.", True)
-
-
 def _surprise(history: History) -> list[Finding]:
     gaps = np.asarray(history.info.gap, np.float64)
     usual = history.last.y.shape[0] / 2
     far = (gaps > FAR + usual) | np.asarray(history.info.collapsed)
-    weighted = hasattr(history.state, "log_weights")
     runs = _in_a_row(far)
     long = [piece for piece in runs if piece.size >= IN_A_ROW]
     if long:
         first = long[0]
-        deviations, center = np.sqrt(2 * gaps[first].max()), "every particle" if weighted else "the prediction"
+        deviations, center = np.sqrt(2 * gaps[first].max()), "every particle" if history.weighs else "the prediction"
         text = (f"from step {int(history.start) + first[0]} on, {first.size} measurements in a row lie {deviations:.0f} or fewer "
                 f"standard deviations from {center}.")  # fmt: skip
         return [Finding("lost", text, "More process noise, a model that can move so, or more particles; start anew there.", True)]
-    # where nothing was measured the log evidence is exactly 0
-    measured = gaps[np.asarray(history.info.log_evidence) != 0]
-    if weighted or not measured.size:
+    used = ~(np.asarray(history.info.collapsed) | (np.asarray(history.info.gated) > 0))
+    surprise, freedom = (np.asarray(each, np.float64)[used] for each in (history.info.surprise, history.info.freedom))
+    degrees = int(freedom.sum())
+    if degrees < 1:
         return []
-    band = chi_square_band(history.last.y.shape[0], measured.size, LEVEL)
-    average = 2 * measured.mean()
-    if average > band.high:
-        text = f"innovations are {average / (2 * usual):.2g} times as large (squared) as their covariance claims."
-        return [Finding("surprise", text, "Raise the noises, or look for what the model leaves out.", average > 2 * band.high)]
+    ratio, most = surprise[freedom > 0].sum() / freedom.sum(), chi_square_band(degrees, 1, LEVEL).high / degrees
+    if ratio > most:
+        text = f"innovations are {ratio:.2g} times as large (squared) as was predicted of them."
+        return [Finding("surprise", text, "Raise the noises, use more particles, or look for what the model leaves out.", ratio > 2 * most)]
     return []
 
 
-def _weights(history: History) -> list[Finding]:
-    ess = np.asarray(history.ess, np.float64)
-    if not np.isfinite(ess).any() or not hasattr(history.state, "log_weights"):
-        return []
-    n = history.state.log_weights.shape[0]
-    starving = [piece for piece in _in_a_row(ess < min(STARVED, 0.5 * n)) if piece.size >= STARVED_FOR]
-    if starving:
-        first = starving[0]
-        text = f"from step {int(history.start) + first[0]} on, {first.size} steps in a row live on fewer than {STARVED:g} of {n} particles."
-        return [Finding("starvation", text, "More particles, a proposal that looks ahead, regularization, or a marginalized filter.", True)]
+def _scarce(history: History) -> Finding | None:
+    ess, n = np.asarray(history.ess, np.float64), history.particles
     median = float(np.median(ess))
-    if median < SCARCE * n:
-        text = f"half of the steps have an effective sample size below {median:.3g} of {n} particles."
-        return [Finding("few particles", text, "More particles, or a proposal that looks ahead.", median < 5)]
-    return []
+    if not median < SCARCE * n:
+        return None
+    text = f"half of the steps have an effective sample size below {median:.3g} of {n} particles."
+    return Finding("few particles", text, "More particles, or a proposal that looks ahead.", median < 5)
 
 
 def _invalid(history: History) -> Finding | None:
     invalid = np.asarray(history.info.invalid)
     if not invalid.any():
         return None
-    text = f"at {_steps(history, np.flatnonzero(invalid))} up to {invalid.max()} particles had a likelihood that is not a number."
+    text = f"at {notices.at(history, np.flatnonzero(invalid))} up to {invalid.max()} particles had a likelihood that is not a number."
     return Finding("invalid", text, "Look for roots and logarithms of negative numbers in the sensor; such particles got no weight.", False)
 
 
@@ -149,8 +132,3 @@ def _in_a_row(flags: np.ndarray) -> list[np.ndarray]:
     """Return the indices of each unbroken run of true values."""
     where = np.flatnonzero(flags)
     return [] if not where.size else np.split(where, np.flatnonzero(np.diff(where) > 1) + 1)
-
-
-def _steps(history: History, steps: np.ndarray) -> str:
-    first = int(history.start) + int(steps[0])
-    return f"step {first}" if steps.size == 1 else f"{steps.size} steps, first step {first},"

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Filter, Guide, Info, by_likelihood, guided, reweigh
+from motes.filters.interface import Filter, Guide, Info, by_likelihood, guided, surprised, unguided
 from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
@@ -40,6 +40,7 @@ class AuxiliaryParticleFilter(Filter):
         policy: when to resample, judged by the first-stage weights; `Always` is the filter of the paper.
     """
 
+    starves = True
     guide = Guide(
         needs="as ParticleFilter, and a mean function of the dynamics",
         cost="n calls of each function, and a score for each particle",
@@ -84,7 +85,7 @@ class AuxiliaryParticleFilter(Filter):
 
     def update(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
-        after, info = reweigh(state, by_likelihood(model.sensor, y, u, t))
+        after, info = by_likelihood(key, model.sensor, state, y, u, t)
         return self.settle(state, after, info, y)
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
@@ -93,6 +94,7 @@ class AuxiliaryParticleFilter(Filter):
         score = _told(self._moves.score(model, state.particles, y, u, t))
         parents = resample(resample_key, self.scheme, self.policy, state, score)
         after, info = guided(noise_key, self._moves, model, parents, y, u, t)
+        info = surprised(info, unguided(noise_key, model, state, y, u, t))
 
         def blind() -> Cloud:
             cloud = resample(resample_key, self.scheme, self.policy, state)

@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 
-from motes.core.record import record
+from motes.core.record import record, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, single
 from motes.filters.needs import as_moment_model
 from motes.laws.gaussian import Gaussian
@@ -18,13 +18,22 @@ from motes.models.state_space import StateSpaceModel
 
 @record
 class CubatureKalmanFilter(TwoStageFilter):
-    """Cubature Kalman filter; its state is a `Gaussian`."""
+    """Cubature Kalman filter; its state is a `Gaussian`.
 
+    Attributes:
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
+    """
+
+    weighs = False
+    subtracts = True
     guide = Guide(
         needs="mean functions, noises with covariances",
         cost="x^3, and 2 x + 1 calls of each function",
         use="as UnscentedKalmanFilter, without knobs to set",
     )
+
+    gate: float | None = static(default=None, kw_only=True)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for means and covariances of dynamics and sensor.
@@ -45,4 +54,4 @@ class CubatureKalmanFilter(TwoStageFilter):
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Condition on y."""
         done = sigma_points.measured(model.sensor, sigma_points.cubature(model.size), state, y, u, t)
-        return done.law, single(done.log_evidence, done.peak)
+        return done.law, single(done)

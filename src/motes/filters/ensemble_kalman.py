@@ -17,7 +17,7 @@ from motes.filters.interface import Guide, Info, TwoStageFilter, single
 from motes.filters.needs import as_moment_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import matrix_over, over_particles
-from motes.laws.gaussian import among, log_normal, log_normal_peak, zeroed
+from motes.laws.gaussian import Correction, among, log_normal, log_normal_peak, measured_in, zeroed
 from motes.models.state_space import StateSpaceModel
 
 
@@ -30,8 +30,11 @@ class EnsembleKalmanFilter(TwoStageFilter):
         form: "deterministic" (square root) or "stochastic" (perturbed measurements).
         inflation: factor on the deviations of members from their mean after each prediction; a little above 1 makes up for the
             covariance that few members miss.
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
     """
 
+    weighs = False
     guide = Guide(
         needs="dynamics that can be drawn from, a sensor with a mean function and a noise covariance",
         cost="n calls of each function",
@@ -41,6 +44,7 @@ class EnsembleKalmanFilter(TwoStageFilter):
     n: int = static()
     form: str = static(default="deterministic")
     inflation: float = 1.0
+    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -73,7 +77,7 @@ class EnsembleKalmanFilter(TwoStageFilter):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Move the members by y."""
-        sensor, X, seen = model.sensor, state.particles, ~jnp.isnan(y)
+        sensor, X = model.sensor, state.particles
         middle = jnp.mean(X, axis=1)
         anchor = sensor.mean(middle, u, t)
         # differences from one point, so that angles average across the cut
@@ -81,7 +85,9 @@ class EnsembleKalmanFilter(TwoStageFilter):
         shift = jnp.mean(off, axis=1)
         innovation = sensor.residual(y, anchor + shift)
         R = matrix_over(sensor.cov, X, u, t)
-        R = among(jnp.mean(R, axis=2) if R.ndim == 3 else R, seen)
+        R = jnp.mean(R, axis=2) if R.ndim == 3 else R
+        seen = measured_in(y, R)
+        R = among(R, seen)
         out, across = zeroed(off - shift[:, None], seen), X - middle[:, None]
         share = max(self.n - 1, 1)
         S = sums.by_blocks(linalg.product_transposed, out, out) / share + R
@@ -96,7 +102,8 @@ class EnsembleKalmanFilter(TwoStageFilter):
             moved = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root, zeroed(innovation, seen)))
             less = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root + linalg.cholesky(R), out))
             after = X + moved[:, None] - less
-        info = single(log_normal(innovation, S, seen), log_normal_peak(innovation, S, seen))
+        density, peak = log_normal(innovation, S, seen), log_normal_peak(innovation, S, seen)
+        info = single(Correction(None, density, peak, jnp.sum(seen)))
         return replace(state, particles=after), replace(info, ess=jnp.full((), self.n, X.dtype))
 
     def _perturbations(self, key: jax.Array, R: jax.Array, seen: jax.Array) -> jax.Array:

@@ -24,8 +24,12 @@ class ExtendedKalmanFilter(TwoStageFilter):
 
     Attributes:
         iterations: linearizations of the sensor in a correction; 1 is the plain filter, more the iterated one. Steps are not damped.
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
     """
 
+    weighs = False
+    subtracts = True
     guide = Guide(
         needs="mean functions with slopes, noises with covariances",
         cost="x^3, and a Jacobian of each function",
@@ -33,6 +37,7 @@ class ExtendedKalmanFilter(TwoStageFilter):
     )
 
     iterations: int = static(default=1)
+    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -61,4 +66,4 @@ class ExtendedKalmanFilter(TwoStageFilter):
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Condition on y."""
         done = linearize.measured(model.sensor, state, y, u, t, self.iterations)
-        return done.law, single(done.log_evidence, done.peak)
+        return done.law, single(done)

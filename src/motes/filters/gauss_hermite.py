@@ -26,8 +26,12 @@ class GaussHermiteFilter(TwoStageFilter):
 
     Attributes:
         degree: points per state, at least 2; moments are exact for polynomials up to the degree 2 `degree` - 1 in each state.
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
     """
 
+    weighs = False
+    subtracts = True
     guide = Guide(
         needs="mean functions, noises with covariances",
         cost="degree^x calls of each function",
@@ -35,6 +39,7 @@ class GaussHermiteFilter(TwoStageFilter):
     )
 
     degree: int = static(default=3)
+    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -69,4 +74,4 @@ class GaussHermiteFilter(TwoStageFilter):
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Condition on y."""
         done = sigma_points.measured(model.sensor, sigma_points.gauss_hermite(model.size, self.degree), state, y, u, t)
-        return done.law, single(done.log_evidence, done.peak)
+        return done.law, single(done)

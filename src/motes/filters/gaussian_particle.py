@@ -12,7 +12,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, weigh
+from motes.filters import alarm
+from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
 from motes.filters.needs import as_particle_model
 from motes.laws.circular import gathered
 from motes.laws.cloud import weighted_moments
@@ -30,6 +31,7 @@ class GaussianParticleFilter(TwoStageFilter):
             half of the draws and keeps the shape of the prediction (paper 004, steps 1 to 5), but moves only when y is known.
     """
 
+    starves = True
     guide = Guide(
         needs="dynamics that can be drawn from, a sensor with a density",
         cost="n calls of each function, no resampling",
@@ -71,9 +73,11 @@ class GaussianParticleFilter(TwoStageFilter):
     def _unweighed(self, model: StateSpaceModel, X: jax.Array) -> Gaussian:
         return _fitted(model, logspace.uniform_weights(self.n, X.dtype), X)
 
-    def _weighed(self, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
+    def _weighed(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         likelihood, ceiling = model.sensor.log_prob(y, X, u, t), model.sensor.ceiling(y, X, u, t)
         weights, info = weigh(logspace.uniform_weights(self.n, X.dtype), likelihood, ceiling)
+        some = X[:, alarm.some_of(self.n)]
+        info = surprised(info, alarm.of_cloud(key, model.sensor, some, jnp.zeros_like(some[0]), y, u, t))
         # after a collapse the next particles are drawn anew, all of equal weight
         return _fitted(model, weights, X), replace(info, ess=jnp.where(info.collapsed, self.n, info.ess))
 
@@ -83,14 +87,14 @@ class GaussianParticleFilter(TwoStageFilter):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Draw particles, weigh them by the likelihood of y, keep their moments."""
-        return self._weighed(model, state.sample(key, self.n), y, u, t)
+        return self._weighed(key, model, state.sample(key, self.n), y, u, t)
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Go to the next time t and take in its measurement."""
         if self.redraw:
             return TwoStageFilter.step(self, key, model, state, y, u, t)
         X = self._moved(random.child(key, random.PREDICT), model, state, u, t)
-        after, info = self._weighed(model, X, y, u, t)
+        after, info = self._weighed(random.child(key, random.UPDATE), model, X, y, u, t)
         return self.settle(self._unweighed(model, X), after, info, y)
 
 

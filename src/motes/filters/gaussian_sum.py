@@ -14,7 +14,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, weigh
+from motes.filters import alarm
+from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
 from motes.filters.needs import as_particle_model
 from motes.laws.cloud import weighted_moments
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, matrix_over, over_particles
@@ -141,6 +142,10 @@ class GaussianSumParticleFilter(TwoStageFilter):
         likelihood, ceiling = self._judged(model, points, y, u, t)
         before = state.log_weights - jnp.log(jnp.asarray(self.n, points.dtype))
         joint, info = weigh(jnp.broadcast_to(before, points.shape[1:]).reshape(-1), likelihood.reshape(-1), ceiling.reshape(-1))
+        # for the alarm, a few particles of each mixand
+        some = points[:, alarm.some_of(self.n, -(-alarm.FEWEST // points.shape[2]))]
+        shares = jnp.broadcast_to(state.log_weights, some.shape[1:]).reshape(-1)
+        info = surprised(info, alarm.of_cloud(key, model.sensor, some.reshape(some.shape[0], -1), shares, y, u, t))
         joint = joint.reshape(points.shape[1:])
         log_weights = jax.nn.logsumexp(joint, axis=0)
         possible = jnp.isfinite(log_weights)

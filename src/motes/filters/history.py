@@ -14,6 +14,9 @@ from motes.core.record import record, replace, static
 from motes.filters.interface import Info
 from motes.io import archive
 
+_TRAITS = ("has_evidence", "weighs", "subtracts", "particles", "engine")
+"""What a file says of the filter beside its name; files of version 0.1 have not all of it."""
+
 
 @record
 class Carry:
@@ -22,6 +25,7 @@ class Carry:
     Attributes:
         state: the law.
         evidence: sum of the log evidence so far.
+        suspicion: cumulative sum of the alarm (`filters/alarm.py`).
         y: measurement of the last step, `(y,)`.
         u: inputs of the last step.
         step: index of the last step.
@@ -29,6 +33,7 @@ class Carry:
 
     state: Any
     evidence: RunningSum
+    suspicion: jax.Array
     y: jax.Array
     u: Any
     step: jax.Array
@@ -46,8 +51,12 @@ class History:
         names: names of the states.
         label: the filter, as it prints.
         has_evidence: whether the filter knows its likelihood.
+        weighs: whether the filter weighs hypotheses; the others go by the innovation alone.
+        subtracts: whether it corrects covariances by differences, which wide priors rob of digits.
+        particles: how many draws the effective sample size counts; 0 where it counts something else.
         engine: what did the work: "jax", "native", or "native in part" (see `engine` and `explain`).
         circular: indices of the states that are angles in radians.
+        rounding: how coarse numbers are beside the noise (`filters/precision.py`), `(2, y)`; None in files of version 0.1.
     """
 
     kept: dict[str, Any]
@@ -57,8 +66,12 @@ class History:
     names: tuple[str, ...] = static()
     label: str = static()
     has_evidence: bool = static(default=True)
+    weighs: bool = static(default=True)
+    subtracts: bool = static(default=False)
+    particles: int = static(default=0)
     engine: str = static(default="jax")
     circular: tuple[int, ...] = static(default=())
+    rounding: jax.Array | None = None
 
     def _kept(self, name: str) -> Any:
         if name not in self.kept:
@@ -121,10 +134,21 @@ class History:
         if not collapsed.any():
             return
         where = int(np.argmax(collapsed))
+        if not self.weighs:
+            raise checks.CollapseError(self._far_innovation(where))
         lowest, highest = float(self.info.lowest[where]), float(self.info.highest[where])
         raise checks.CollapseError(
             f"step {int(self.start) + where}: all weights vanished: log likelihoods between {lowest:.4g} and {highest:.4g}; "
             f"no particle explains the measurement ({self.label.split('(')[0]}). Check the measurement and the noises, use more particles, "
+            "or set on_collapse='predict' or 'inflate'."
+        )
+
+    def _far_innovation(self, where: int) -> str:
+        square, freedom = float(self.info.surprise[where]), int(self.info.freedom[where])
+        far = f"lies {square**0.5:.4g} standard deviations from the prediction" if square < np.inf else "or its prediction is not a number"
+        return (
+            f"step {int(self.start) + where}: the innovation {far} ({freedom} measured component{'s'[: freedom != 1]}; "
+            f"{self.label.split('(')[0]}). Check the measurement and the noises, leave such measurements out with gate=0.9999, "
             "or set on_collapse='predict' or 'inflate'."
         )
 
@@ -139,7 +163,7 @@ class History:
             data["cov"] = (("time", "state", "state2"), np.asarray(self.cov))
         if "mode_probabilities" in self.kept:
             data["mode_probabilities"] = (("time", "mode"), np.asarray(self.mode_probabilities))
-        for name in ("log_evidence", "ess", "collapsed", "invalid"):
+        for name in ("log_evidence", "ess", "collapsed", "invalid", "surprise", "freedom", "alarm", "gated"):
             data[name] = (("time",), np.asarray(getattr(self.info, name)))
         names = list(self.names)
         attributes = archive.provenance() | {"filter": self.label, "engine": self.engine}
@@ -159,13 +183,13 @@ class History:
         if path.suffix == ".nc":
             return archive.write_dataset(path, self.to_xarray())
         if path.suffix == ".npz":
-            texts = {"names": list(self.names), "filter": self.label, "has_evidence": self.has_evidence, "engine": self.engine}
-            texts["circular"] = list(self.circular)
+            texts = {"names": list(self.names), "filter": self.label, "circular": list(self.circular)}
+            texts |= {name: getattr(self, name) for name in _TRAITS}
             return archive.write_tree(path, self._data(), texts, kind="history")
         checks.refuse(str(path), "a name that ends in .nc or .npz", path.suffix or "no ending", error=checks.FileError)
 
     def _data(self) -> dict[str, Any]:
-        return {"kept": self.kept, "info": self.info, "last": self.last, "start": self.start}
+        return {"kept": self.kept, "info": self.info, "last": self.last, "start": self.start, "rounding": self.rounding}
 
     @classmethod
     def load(cls, path: str | Path) -> "History":
@@ -175,12 +199,23 @@ class History:
             FileError: the file is no history, or is damaged.
         """
         tree, texts = archive.read_tree(Path(path), kind="history")
-        info = Info(**{name: jnp.asarray(value) for name, value in tree["info"].items()})
+        info = _recorded(tree["info"])
         last = dict(tree["last"])
         evidence = RunningSum(**{name: jnp.asarray(value) for name, value in last.pop("evidence").items()})
-        carry = Carry(state=last.get("state"), evidence=evidence, y=last["y"], u=last.get("u"), step=last["step"])
-        labels = (tuple(texts["names"]), texts["filter"], bool(texts["has_evidence"]), texts["engine"], tuple(texts.get("circular", ())))
-        return cls(tree.get("kept", {}), info, carry, tree["start"], *labels)
+        suspicion = jnp.asarray(last.get("suspicion", 0.0), last["y"].dtype)
+        carry = Carry(last.get("state"), evidence, suspicion, last["y"], last.get("u"), last["step"])
+        traits = {name: texts[name] for name in _TRAITS if name in texts}
+        rest = (tree["start"], tuple(texts["names"]), texts["filter"])
+        traits |= {"circular": tuple(texts.get("circular", ())), "rounding": tree.get("rounding")}
+        return cls(tree.get("kept", {}), info, carry, *rest, **traits)
+
+
+def _recorded(fields: dict[str, Any]) -> Info:
+    """Return what a file says of each step; what files of version 0.1 lack reads as not known (`freedom` 0)."""
+    like = fields["log_evidence"]
+    lacking = {name: np.zeros_like(like) for name in ("surprise", "freedom")}
+    lacking |= {"alarm": np.zeros(like.shape, bool), "gated": np.zeros(like.shape, np.int32)}
+    return Info(**{name: jnp.asarray(value) for name, value in {**lacking, **fields}.items()})
 
 
 def ask_evidence(asked: str, has_evidence: bool, label: str) -> None:
@@ -194,4 +229,5 @@ def joined(pieces: Sequence[History]) -> History:
     if not pieces:
         checks.refuse("pieces", "at least one history", "none")
     kept, info = jax.tree.map(lambda *parts: jnp.concatenate(parts), *[(piece.kept, piece.info) for piece in pieces])
-    return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start)
+    rounding = jax.tree.map(lambda *parts: jnp.max(jnp.stack(parts), axis=0), *[piece.rounding for piece in pieces])
+    return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start, rounding=rounding)

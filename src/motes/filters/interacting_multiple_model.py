@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import linalg
-from motes.core.record import record, replace
+from motes.core.record import record, replace, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, weigh_modes
 from motes.filters.needs import as_jump_markov
 from motes.laws.gaussian import Gaussian
@@ -28,13 +28,21 @@ from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_
 
 @record
 class InteractingMultipleModel(TwoStageFilter):
-    """Interacting multiple models; the state is a `ModeMixture` of one Gaussian for each mode, and `info.ess` counts modes."""
+    """Interacting multiple models; the state is a `ModeMixture` of one Gaussian for each mode, and `info.ess` counts modes.
 
+    Attributes:
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
+    """
+
+    subtracts = True
     guide = Guide(
         needs="m modes with mean functions and noise covariances",
         cost="m x^3",
         use="a model that switches between a few modes, each mildly nonlinear",
     )
+
+    gate: float | None = static(default=None, kw_only=True)
 
     def prepare(self, model: Any, u: Any) -> JumpMarkovModel:
         """Ask for means and covariances of dynamics and sensor of every mode.

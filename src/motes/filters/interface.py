@@ -9,14 +9,18 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
+from motes.filters import alarm
+from motes.filters.alarm import Surprise
 from motes.filters.needs import as_state_space
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
+from motes.laws.gaussian import Correction
 from motes.laws.mode_mixture import ModeMixture
-from motes.models.jump_markov import JumpMarkovModel, measured
+from motes.models.jump_markov import JumpMarkovModel, measured, predicted
 from motes.models.proposals import Proposal
 from motes.models.state_space import StateSpaceModel, circular
 from motes.native import cloudwise
+from motes.resampling import gradients
 from motes.resampling.policy import Policy, resample
 from motes.resampling.schemes import Scheme, Weighted
 
@@ -42,6 +46,10 @@ class Info:
         highest: largest log likelihood over the particles.
         gap: nats by which the best particle falls short of a perfect fit; half the squared normalized innovation of filters whose law has
             no weights; 0 where the largest possible likelihood is not known.
+        surprise: squared distance of the measurement from what was predicted of it; chi-square where the filter's claims are right.
+        freedom: degrees of freedom of `surprise`; 0 where nothing was measured, or where no prediction is known.
+        alarm: whether measurements have by now scattered so much more than predicted that the filter's claims are wrong (`alarm.py`).
+        gated: 1 where the filter's `gate` left the measurement out, else 0.
     """
 
     log_evidence: jax.Array
@@ -51,6 +59,10 @@ class Info:
     lowest: jax.Array
     highest: jax.Array
     gap: jax.Array
+    surprise: jax.Array
+    freedom: jax.Array
+    alarm: jax.Array
+    gated: jax.Array
 
 
 def weigh(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, Info]:
@@ -76,13 +88,21 @@ def judged(found: jax.Array) -> Info:
     log_evidence, ess, invalid, lowest, highest, gap = found
     unresolved = jnp.abs(highest) * jnp.finfo(found.dtype).eps > 1
     collapsed = ~jnp.isfinite(log_evidence) | (gap > HOPELESS) | unresolved
-    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest, gap)
+    none, quiet = jnp.zeros_like(ess), jnp.zeros((), bool)
+    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest, gap, none, none, quiet, jnp.int32(0))
 
 
-def single(log_evidence: jax.Array, peak: jax.Array) -> Info:
+def single(done: Correction) -> Info:
     """Return the record of a step of a filter whose law has no weights."""
-    _, info = weigh(jnp.zeros((1,), log_evidence.dtype), log_evidence[None], peak)
-    return replace(info, ess=jnp.full_like(log_evidence, jnp.inf))
+    evidence = done.log_evidence
+    _, info = weigh(jnp.zeros((1,), evidence.dtype), evidence[None], done.peak)
+    square, freedom = 2 * (done.peak - evidence), jnp.asarray(done.count, evidence.dtype)
+    return replace(info, ess=jnp.full_like(evidence, jnp.inf), surprise=square, freedom=freedom)
+
+
+def surprised(info: Info, found: Surprise) -> Info:
+    """Add to the record of a step how far its measurement lies from the prediction."""
+    return replace(info, surprise=found.square, freedom=found.freedom)
 
 
 def evolve(keys: tuple[jax.Array, jax.Array], scheme: Scheme, policy: Policy, cloud: C, move: Callable[[jax.Array, C], C]) -> C:
@@ -96,7 +116,9 @@ def evolve(keys: tuple[jax.Array, jax.Array], scheme: Scheme, policy: Policy, cl
         move: from the key of the noise and the cloud to the moved cloud, each particle on its own.
     """
     moved = cloudwise.evolve(keys, scheme, policy, cloud, move)
-    return move(keys[1], resample(keys[0], scheme, policy, cloud)) if moved is None else moved
+    if moved is None:
+        return move(keys[1], resample(keys[0], scheme, policy, cloud))
+    return gradients.noticed(moved) if gradients.loses(scheme, policy) else moved
 
 
 def reweigh(cloud: C, judge: Callable[[C], tuple[C, jax.Array, jax.Array]]) -> tuple[C, Info]:
@@ -114,13 +136,15 @@ def reweigh(cloud: C, judge: Callable[[C], tuple[C, jax.Array, jax.Array]]) -> t
     return replace(after, log_weights=weights), info
 
 
-def by_likelihood(sensor: Conditional, y: jax.Array, u: Any, t: Any) -> Callable[[Cloud], tuple[Cloud, jax.Array, jax.Array]]:
-    """Return what `reweigh` takes where particles stay and are judged by the likelihood of y alone."""
+def by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+    """Weigh particles that stay where they are by the likelihood of y alone; the key serves the alarm."""
 
     def judge(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
         return cloud, sensor.log_prob(y, cloud.particles, u, t), sensor.ceiling(y, cloud.particles, u, t)
 
-    return judge
+    after, info = reweigh(cloud, judge)
+    some = alarm.some_of(cloud.log_weights.shape[0])
+    return after, surprised(info, alarm.of_cloud(key, sensor, cloud.particles[:, some], cloud.log_weights[some], y, u, t))
 
 
 def guided(
@@ -133,11 +157,21 @@ def guided(
     return replace(parents, particles=moved, log_weights=weights), info
 
 
+def unguided(key: jax.Array, model: StateSpaceModel, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> Surprise:
+    """Surprise of y given some particles of the step before, moved as if it were not known."""
+    some = alarm.some_of(cloud.log_weights.shape[0])
+    X = model.dynamics.sample(random.child(key, random.NOISE), cloud.particles[:, some], u, t)
+    return alarm.of_cloud(key, model.sensor, X, cloud.log_weights[some], y, u, t)
+
+
 def weigh_modes(model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:
     """Correct the Gaussian of each component by the sensor of its mode, and weigh it by its predictive density of y."""
     done = measured(model, state, y, u, t)
     weights, info = weigh(state.log_weights, done.log_evidence, done.peak)
-    return replace(state, parts=done.law, log_weights=weights), info
+    few, log_weights = alarm.few_of(state.log_weights.reshape(model.count, -1))
+    told = predicted(model, state, few, u, t)
+    found = alarm.of_mixture(model.models[0].sensor.angles, told.center, told.covariance, log_weights.reshape(-1), y, drawn=False)
+    return replace(state, parts=done.law, log_weights=weights), surprised(info, found)
 
 
 class Guide(NamedTuple):
@@ -168,6 +202,14 @@ class Filter(ABC):
     """Whether the filter moves only when it knows the next measurement."""
     has_evidence: ClassVar[bool] = True
     """Whether the filter knows the density of what was measured; where not, histories and streams refuse to tell it."""
+    weighs: ClassVar[bool] = True
+    """Whether the filter weighs particles or hypotheses; the others, Kalman filters, go by the innovation alone."""
+    subtracts: ClassVar[bool] = False
+    """Whether covariances are corrected by differences, so that priors far wider than the noise cost digits."""
+    starves: ClassVar[bool] = False
+    """Whether the effective sample size counts n draws, few of which are not enough."""
+    gate: ClassVar[float | None] = None
+    """Probability with which a measurement lies inside the gate where the filter's claims are right; None for no gate. A field of some."""
     guide: ClassVar[Guide]
     """What it needs, costs and is good for."""
 
@@ -178,7 +220,21 @@ class Filter(ABC):
             MotesError: a knob has a value it cannot have; the message names it.
         """
         checks.option(f"{type(self).__name__} on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
+        if self.gate is not None and not (isinstance(self.gate, float) and 0 < self.gate < 1):
+            checks.refuse(f"{type(self).__name__} gate", "a probability between 0 and 1, such as 0.9999, or None", repr(self.gate))
         self.check_knobs()
+
+    @property
+    def loses_derivatives(self) -> bool:
+        """Whether the filter picks particles in a way that derivatives do not see (see `resampling/gradients.py`)."""
+        policy = getattr(self, "policy", None)
+        return policy is not None and gradients.loses(getattr(self, "scheme", None), policy)
+
+    @property
+    def traits(self) -> dict[str, Any]:
+        """What a history says of its filter."""
+        particles = getattr(self, "n", 0) if self.starves else 0
+        return {"has_evidence": self.has_evidence, "weighs": self.weighs, "subtracts": self.subtracts, "particles": particles}
 
     def check_knobs(self) -> None:  # noqa: B027 (most filters have nothing of their own to check)
         """Refuse values of the filter's own knobs."""
@@ -210,13 +266,18 @@ class Filter(ABC):
     def settle(self, before: Any, after: Any, info: Info, y: jax.Array) -> tuple[Any, Info]:
         """Apply the two rules that every filter shares: nothing measured changes nothing, and a collapse is answered by the policy."""
         missing = jnp.all(jnp.isnan(y))
+        if self.gate is not None:
+            outside = (info.freedom > 0) & ~alarm.within(self.gate, info.surprise, info.freedom) & ~missing
+            info = replace(info, gated=outside.astype(jnp.int32), collapsed=info.collapsed & ~outside)
         fallback = before
         if self.on_collapse == "inflate":
             inflated = before.inflated(INFLATION)
             fallback = jax.tree.map(lambda kept, wide: jnp.where(missing, kept, wide), before, inflated)
-        refused = missing | info.collapsed
+        unused = missing | (info.gated > 0)
+        refused = unused | info.collapsed
         state = jax.tree.map(lambda old, new: jnp.where(refused, old, new), fallback, after)
-        silent = {name: jnp.where(missing, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest", "gap")}
+        silent = {name: jnp.where(unused, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest", "gap")}
+        silent |= {name: jnp.where(missing, 0, getattr(info, name)) for name in ("surprise", "freedom")}
         if hasattr(before, "log_weights"):
             silent["ess"] = jax.lax.cond(refused, lambda: logspace.effective_size(before.log_weights), lambda: info.ess)
         return state, replace(info, collapsed=info.collapsed & ~missing, **silent)

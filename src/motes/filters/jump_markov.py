@@ -25,6 +25,7 @@ from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import log_chances
 from motes.models import linearize
 from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_parts
+from motes.resampling import gradients
 from motes.resampling.reduction import Reduction, reduced
 from motes.resampling.schemes import Systematic
 
@@ -37,8 +38,11 @@ class JumpMarkovFilter(TwoStageFilter):
         n: number of particles that are kept from step to step.
         sampled: states that particles draw, by name or index: those in which dynamics or sensors are too curved for an extended Kalman
             filter. Given them, linear models are exact.
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
     """
 
+    subtracts = True
     guide = Guide(
         needs="m modes with additive Gaussian noises",
         cost="n m x^3",
@@ -47,6 +51,7 @@ class JumpMarkovFilter(TwoStageFilter):
 
     n: int = static()
     sampled: tuple[str | int, ...] = static(default=())
+    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -100,7 +105,7 @@ class JumpMarkovFilter(TwoStageFilter):
     def predict(self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, u: Any, t: Any) -> ModeMixture:
         """Bring the hypotheses down to n, and move each in every mode."""
         ancestors, log_weights = self._kept(random.child(key, random.RESAMPLE), state.log_weights)
-        kept = state.picked(ancestors)
+        kept, log_weights = gradients.noticed((state.picked(ancestors), log_weights))
         chances = model.log_transition(u, t)[kept.modes].T
         moved = joined_parts([linearize.moved_each(part.dynamics, kept.parts, u, t, None) for part in model.models])
         return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + chances)

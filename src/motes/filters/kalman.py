@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 
-from motes.core.record import record
+from motes.core.record import record, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, single
 from motes.filters.needs import as_linear_model
 from motes.laws.gaussian import Gaussian
@@ -17,13 +17,22 @@ from motes.models.state_space import StateSpaceModel
 
 @record
 class KalmanFilter(TwoStageFilter):
-    """Kalman filter; its state is a `Gaussian`. Functions that are linear need not be written as matrices: tracing finds out."""
+    """Kalman filter; its state is a `Gaussian`. Functions that are linear need not be written as matrices: tracing finds out.
 
+    Attributes:
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
+    """
+
+    weighs = False
+    subtracts = True
     guide = Guide(
         needs="a linear model with Gaussian noises and initial law",
         cost="x^3",
         use="the model is linear: nothing beats it",
     )
+
+    gate: float | None = static(default=None, kw_only=True)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for a model that is linear in every state, with Gaussian noises and initial law.
@@ -44,4 +53,4 @@ class KalmanFilter(TwoStageFilter):
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Condition on y."""
         done = linearize.measured(model.sensor, state, y, u, t)
-        return done.law, single(done.log_evidence, done.peak)
+        return done.law, single(done)

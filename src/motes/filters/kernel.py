@@ -16,10 +16,11 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, random
 from motes.core.logspace import uniform_weights
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh
+from motes.filters import alarm
+from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh, surprised
 from motes.filters.needs import as_state_space
 from motes.laws.conditional import AdditiveGaussian, matrix_over
-from motes.laws.gaussian import Gaussian
+from motes.laws.gaussian import Gaussian, measured_in
 from motes.laws.mixture import Mixture
 from motes.models import linearize
 from motes.models.mixed_linear import MixedLinearModel
@@ -73,6 +74,7 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         policy: when a resampling selects; otherwise it splits and keeps the weights.
     """
 
+    subtracts = True
     guide = Guide(
         needs="additive Gaussian noises",
         cost="n x^2, n x^3 to move covariances",
@@ -183,10 +185,14 @@ class KalmanParticleKernelFilter(TwoStageFilter):
                 prediction, curved = sensor.means(X, u, t), slopes(model.nonlinear, X)
             straight = slopes(model.linear, X) if shared is None else shared
             parts = ((model.nonlinear, curved), (model.linear, straight))
-            done = law.parts.corrected_in_turn(sensor.residual(y, prediction), parts, R, ~jnp.isnan(y))
+            done = law.parts.corrected_in_turn(sensor.residual(y, prediction), parts, R, measured_in(y, R))
             return replace(law, parts=done.law), done.log_evidence, done.peak
 
-        return reweigh(state, judge)
+        after, info = reweigh(state, judge)
+        some = alarm.some_of(self.n)
+        prediction, slope, noise = linearize.affine_each(sensor, state.parts.center[:, some], u, t)
+        covs = linalg.add(linalg.sandwich(slope, state.parts.covariance[..., some]), noise)
+        return after, surprised(info, alarm.of_mixture(sensor.angles, prediction, covs, state.log_weights[some], y))
 
 
 def _once(t: Any, work: Callable[[], Any]) -> Any:

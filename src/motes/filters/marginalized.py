@@ -18,9 +18,11 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh
+from motes.filters import alarm
+from motes.filters.alarm import Surprise
+from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh, surprised
 from motes.laws.circular import near, wrap
-from motes.laws.gaussian import Gaussian
+from motes.laws.gaussian import Gaussian, measured_in
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.models.mixed_linear import Affine, MixedLinearModel, initial_split
 from motes.models.split import SplitModel, split
@@ -39,8 +41,12 @@ class MarginalizedParticleFilter(TwoStageFilter):
         scheme: how ancestors are drawn.
         policy: when to resample, at the start of a step.
         regularization: kernel that smooths the particle part of what was resampled (see `RegularizedParticleFilter`); None for none.
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
     """
 
+    subtracts = True
+    starves = True
     guide = Guide(
         needs="k states that are linear-Gaussian given the rest, found by tracing",
         cost="n k^2 with one covariance for all, n k^3 with one for each particle",
@@ -52,6 +58,7 @@ class MarginalizedParticleFilter(TwoStageFilter):
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
     regularization: Regularization | None = None
+    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -111,10 +118,22 @@ class MarginalizedParticleFilter(TwoStageFilter):
             h, C, R = model.over("sensor", cloud.particles, example, u, t)
             prediction = h + linalg.times_vector(C, cloud.kalman.center)
             innovation = wrap(y[:, None] - prediction, model.mixed.angles)
-            kalman, likelihood, peak = cloud.kalman.corrected(innovation, C, R, ~jnp.isnan(y))
-            return replace(cloud, kalman=kalman), likelihood, peak
+            done = cloud.kalman.corrected(innovation, C, R, measured_in(y, R))
+            return replace(cloud, kalman=done.law), done.log_evidence, done.peak
 
-        return reweigh(state, judge)
+        after, info = reweigh(state, judge)
+        return after, surprised(info, _surprise(key, model, state, y, u, t))
+
+
+def _surprise(key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.Array, u: Any, t: Any) -> Surprise:
+    """Ask some of the particles, each with its Gaussian, what they expect to measure."""
+    some = alarm.some_of(state.log_weights.shape[0])
+    particles, log_weights, cov = state.particles[:, some], state.log_weights[some], state.kalman.covariance
+    if model.likelihood is not None:
+        return alarm.of_cloud(key, model.likelihood, model.whole(particles), log_weights, y, u, t)
+    h, C, R = model.over("sensor", particles, particles[:, 0], u, t)
+    told = Gaussian(state.kalman.center[:, some], cov[..., some] if cov.ndim == 3 else cov).through(C, h, R)
+    return alarm.of_mixture(model.mixed.angles, told.center, told.covariance, log_weights, y)
 
 
 def moved(

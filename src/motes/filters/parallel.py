@@ -15,12 +15,13 @@ from motes.core.compiling import jitted
 from motes.core.logspace import RunningSum
 from motes.core.record import replace
 from motes.core.types import Inputs
-from motes.filters import keep
+from motes.filters import alarm, keep, notices, precision
 from motes.filters.history import Carry, History
 from motes.filters.interface import single
+from motes.filters.kalman import KalmanFilter
 from motes.filters.needs import as_linear_model
 from motes.filters.run import checked_data
-from motes.laws.gaussian import Gaussian, among, zeroed
+from motes.laws.gaussian import Gaussian, among, measured_in, zeroed
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
 from motes.models.programs import Beside
@@ -53,6 +54,7 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
     history = replace(found, label="KalmanFilter() in parallel")
     if checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
+        notices.warn(history, None)
     return history
 
 
@@ -77,10 +79,13 @@ def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> History:
     later = jax.vmap(judged)(together.b[:-1], together.C[:-1], *jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
     done = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, later)
     laws = done.law
-    info = jax.vmap(single)(done.log_evidence, done.peak)
+    info = jax.vmap(single)(done)
+    suspicion, rings = alarm.advanced_in_parallel(info.surprise, info.freedom)
+    info = replace(info, alarm=rings)
     evidence = RunningSum(jnp.sum(done.log_evidence), jnp.zeros((), ys.dtype))
-    last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, ys[-1], at_step(inputs, -1), t[-1])
-    return History(jax.vmap(keep.moments)(laws), info, last, jnp.int32(0), model.names, "", circular=model.circular)
+    last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, suspicion, ys[-1], at_step(inputs, -1), t[-1])
+    known = KalmanFilter().traits | {"rounding": precision.rounding(model, ys, at_step(told, 0)), "circular": model.circular}
+    return History(jax.vmap(keep.moments)(laws), info, last, jnp.int32(0), model.names, "", **known)
 
 
 def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> _Element:
@@ -88,7 +93,7 @@ def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> _Ele
     nowhere = jnp.zeros((model.size,), y.dtype)
     c, F, Q = linearize.affine(model.dynamics, nowhere, u, t)
     d, H, R = linearize.affine(model.sensor, nowhere, u, t)
-    seen = ~jnp.isnan(y)
+    seen = measured_in(y, R)
     surprise = zeroed(model.sensor.residual(y, d + H @ c), seen)
     H, R = zeroed(H, seen), among(R, seen)
     factor = linalg.cholesky(linalg.sandwich(H, Q) + R)

@@ -11,7 +11,7 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve, guided, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve, guided, surprised, unguided
 from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
@@ -33,6 +33,7 @@ class ParticleFilter(TwoStageFilter):
         policy: when to resample, at the start of a step.
     """
 
+    starves = True
     guide = Guide(
         needs="dynamics that can be drawn from, a sensor with a density",
         cost="n calls of each function",
@@ -87,7 +88,7 @@ class ParticleFilter(TwoStageFilter):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
-        return reweigh(state, by_likelihood(model.sensor, y, u, t))
+        return by_likelihood(key, model.sensor, state, y, u, t)
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Go to the next time t and take in its measurement."""
@@ -97,5 +98,6 @@ class ParticleFilter(TwoStageFilter):
         cloud = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
         noise_key = random.child(predict_key, random.NOISE)
         after, info = guided(noise_key, self._moves, model, cloud, y, u, t)
+        info = surprised(info, unguided(noise_key, model, cloud, y, u, t))
         blind = replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
         return self.settle(blind.gathered(model.circular), after, info, y)

@@ -11,7 +11,8 @@ import numpy as np
 
 from motes.core import checks, logspace, pairs
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, weigh
+from motes.filters import alarm
+from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
 from motes.filters.needs import as_state_space, ask_density
 from motes.laws.cloud import Cloud
 from motes.models.state_space import StateSpaceModel
@@ -92,4 +93,5 @@ class PointMassFilter(TwoStageFilter):
         """Weigh the nodes by the likelihood of y."""
         likelihood = model.sensor.log_prob(y, state.particles, u, t)
         weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
-        return replace(state, log_weights=weights), info
+        found = alarm.of_cloud(key, model.sensor, state.particles, state.log_weights, y, u, t)
+        return replace(state, log_weights=weights), surprised(info, found)

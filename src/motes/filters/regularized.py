@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve, reweigh
+from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve
 from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, matrix_over
@@ -39,6 +39,7 @@ class RegularizedParticleFilter(TwoStageFilter):
         policy: when to resample, and with it to smooth, at the start of a step.
     """
 
+    starves = True
     guide = Guide(
         needs="as ParticleFilter; a density of the dynamics for the Metropolis form",
         cost="n calls of each function, and one draw more",
@@ -99,7 +100,7 @@ class RegularizedParticleFilter(TwoStageFilter):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
-        return reweigh(state, by_likelihood(model.sensor, y, u, t))
+        return by_likelihood(key, model.sensor, state, y, u, t)
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Go to the next time t and take in its measurement."""

@@ -13,6 +13,7 @@ from motes.core.compiling import jitted
 from motes.core.logspace import RunningSum
 from motes.core.record import replace, values
 from motes.core.types import Inputs, KeyLike
+from motes.filters import alarm, notices, precision
 from motes.filters import keep as keeping
 from motes.filters.history import Carry, History
 from motes.filters.interface import Filter, Info
@@ -24,6 +25,7 @@ from motes.models.mixed_linear import MixedLinearModel
 from motes.models.programs import Beside
 from motes.models.state_space import Previous, StateSpaceModel, at_step, checked_inputs, circular, decorrelated, measurement_size
 from motes.native import report
+from motes.resampling import gradients
 
 Keep = Callable[[Any], dict[str, Any]]
 
@@ -66,10 +68,15 @@ def run(
     # functions that are equal for inputs of one shape need not be so for those that a run before had
     alike = first is None or jax.tree.map(shape_of, first.u) == u
     known = canonical_parts(filter, model, u, one_of(ys)) if alike else (filter, model)
+    if not checks.is_concrete((known, ys, inputs)) and filter.loses_derivatives:
+        # what is compiled is traced, and tells of a derivative, but once
+        known, ys, inputs = gradients.noticed((known, ys, inputs))
     # outside of jit the knobs print as numbers
     history = replace(_run(key, *known, ys, inputs, (keep, Beside((*known, keep))), first), label=repr(filter))
     if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
+    if checks.is_concrete(history.info):
+        notices.warn(history, after)
     return history
 
 
@@ -114,7 +121,8 @@ def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first:
     else:
         start = first.step + 1
         carry, (kept, infos) = _over(advance, first, (ys, inputs))
-    return History(kept, infos, carry, start, engine.given.names, "", engine.filter.has_evidence, circular=engine.circular)
+    known = engine.filter.traits | {"circular": engine.circular, "rounding": precision.rounding(engine.given, ys, at_step(inputs, 0))}
+    return History(kept, infos, carry, start, engine.given.names, "", **known)
 
 
 def _over(advance: Callable[[Any, Any], Any], carry: Carry, rows: Any) -> tuple[Carry, Any]:
@@ -165,14 +173,14 @@ class Engine:
         nothing = jnp.full_like(y, jnp.nan)
         model = self.prepared(self.driven(u, u, nothing))
         state = self.filter.init(random.child(random.step_key(self.key, 0), random.INITIAL), model)
-        return Carry(state.gathered(self.circular), RunningSum.zero(y.dtype), nothing, u, jnp.int32(0))
+        return Carry(state.gathered(self.circular), RunningSum.zero(y.dtype), jnp.zeros((), y.dtype), nothing, u, jnp.int32(0))
 
     def take_in(self, carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
         """Update with a measurement of the present step."""
         driven = self.driven(carry.u, carry.u, carry.y)
         key = random.child(random.step_key(self.key, carry.step), random.UPDATE)
         state, info = self.filter.update(key, self.prepared(driven), carry.state, y, driven, carry.step)
-        return Carry(state.gathered(self.circular), carry.evidence.add(info.log_evidence), y, carry.u, carry.step), info
+        return self._handed_on(carry, state, info, y, carry.u, carry.step)
 
     def begin(self, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
         """Take step 0."""
@@ -184,7 +192,7 @@ class Engine:
         driven = self.driven(u, carry.u, carry.y)
         key = random.child(random.step_key(self.key, t), random.PREDICT)
         state = self.filter.predict(key, self.prepared(driven), carry.state, driven, t)  # type: ignore[attr-defined]
-        return Carry(state.gathered(self.circular), carry.evidence, jnp.full_like(carry.y, jnp.nan), u, t)
+        return replace(carry, state=state.gathered(self.circular), y=jnp.full_like(carry.y, jnp.nan), u=u, step=t)
 
     def step(self, carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
         """Go to the next step and take in its measurement."""
@@ -192,7 +200,12 @@ class Engine:
         t = carry.step + 1
         driven = self.driven(u, carry.u, carry.y)
         state, info = self.filter.step(random.step_key(self.key, t), self.prepared(driven), carry.state, y, driven, t)
-        return _apart((Carry(state.gathered(self.circular), carry.evidence.add(info.log_evidence), y, u, t), info))
+        return _apart(self._handed_on(carry, state, info, y, u, t))
+
+    def _handed_on(self, carry: Carry, state: Any, info: Info, y: jax.Array, u: Inputs, t: jax.Array) -> tuple[Carry, Info]:
+        suspicion, rings = alarm.advanced(carry.suspicion, info.surprise, info.freedom)
+        evidence = carry.evidence.add(info.log_evidence)
+        return Carry(state.gathered(self.circular), evidence, suspicion, y, u, t), replace(info, alarm=rings)
 
 
 def _apart(tree: Any) -> Any:

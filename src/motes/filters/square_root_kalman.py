@@ -9,23 +9,32 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core.record import record
+from motes.core.record import record, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, single
 from motes.filters.needs import as_linear_model
 from motes.laws.factored import FactoredGaussian
+from motes.laws.gaussian import measured_in
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 
 
 @record
 class SquareRootKalmanFilter(TwoStageFilter):
-    """Square-root Kalman filter; its state is a `FactoredGaussian`."""
+    """Square-root Kalman filter; its state is a `FactoredGaussian`.
 
+    Attributes:
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
+    """
+
+    weighs = False
     guide = Guide(
         needs="a linear model with Gaussian noises and initial law",
         cost="x^3, a few times what KalmanFilter takes",
         use="the model is linear and badly scaled, in float32",
     )
+
+    gate: float | None = static(default=None, kw_only=True)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for a model that is linear in every state, with Gaussian noises and initial law.
@@ -48,5 +57,6 @@ class SquareRootKalmanFilter(TwoStageFilter):
     ) -> tuple[FactoredGaussian, Info]:
         """Condition on y."""
         prediction, slope, noise = linearize.affine(model.sensor, state.center, u, t)
-        done = state.corrected(model.sensor.residual(y, prediction), slope, noise, ~jnp.isnan(y))
-        return done.law, single(done.log_evidence, done.peak)
+        seen = measured_in(y, noise)
+        done = state.corrected(model.sensor.residual(y, prediction), slope, noise, seen)
+        return done.law, single(done._replace(count=jnp.sum(seen)))

@@ -101,7 +101,8 @@ class Stream:
             carry, info = _take_in(self._form, self._parts, carry, y)
         if self.filter.on_collapse == "raise" and bool(info.collapsed):
             at_step = jax.tree.map(lambda leaf: leaf[None], info)
-            History({}, at_step, carry, carry.step, self.model.names, repr(self.filter)).raise_on_collapse()
+            told = History({}, at_step, carry, carry.step, self.model.names, repr(self.filter), **self.filter.traits)
+            told.raise_on_collapse()
         self._carry, self.info, self._updated, self._pending = carry, info, True, []
         return info
 

@@ -27,8 +27,12 @@ class UnscentedKalmanFilter(TwoStageFilter):
         alpha: spread of the points, above 0. Small ones read the slope at the mean, and need float64 below about 1e-2.
         beta: what is known of the fourth moments; 2 suits Gaussians.
         kappa: second scaling, above -x; with alpha = 1 and beta = 0, 3 - x makes fourth moments right along each axis.
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
     """
 
+    weighs = False
+    subtracts = True
     guide = Guide(
         needs="mean functions, noises with covariances",
         cost="x^3, and 2 x + 1 calls of each function",
@@ -38,6 +42,7 @@ class UnscentedKalmanFilter(TwoStageFilter):
     alpha: float = static(default=1.0)
     beta: float = static(default=2.0)
     kappa: float = static(default=0.0)
+    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -72,4 +77,4 @@ class UnscentedKalmanFilter(TwoStageFilter):
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Condition on y."""
         done = sigma_points.measured(model.sensor, self._rule(model), state, y, u, t)
-        return done.law, single(done.log_evidence, done.peak)
+        return done.law, single(done)

@@ -15,7 +15,7 @@ from motes.core import checks, linalg, random
 from motes.core.record import record, static
 from motes.core.types import MatrixLike, UserFunction
 from motes.laws.circular import wrap
-from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak
+from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak, measured_in
 from motes.laws.law import Law, Shifted, as_law, check_size
 
 
@@ -160,11 +160,13 @@ class AdditiveGaussian(Conditional):
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density given each particle; see `Conditional`."""
-        return log_normal(self.residual(value, self.means(X, u, t)), matrix_over(self.Q, X, u, t), _measured(value))
+        cov = matrix_over(self.Q, X, u, t)
+        return log_normal(self.residual(value, self.means(X, u, t)), cov, _measured(value, cov))
 
     def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density at a perfect fit."""
-        return log_normal_peak(value, matrix_over(self.Q, X, u, t), _measured(value))
+        cov = matrix_over(self.Q, X, u, t)
+        return log_normal_peak(value, cov, _measured(value, cov))
 
 
 @record
@@ -200,9 +202,11 @@ class LinearGaussian(AdditiveGaussian):
         return linalg.times_vector(matrix_over(self.A, X, u, t), X)
 
 
-def _measured(value: jax.Array) -> jax.Array | None:
-    """Tell which components of a measurement `(z,)` are there, `(z,)`; None, for all, of values `(z, n)`, which were drawn."""
-    return ~jnp.isnan(value) if value.ndim == 1 else None
+def _measured(value: jax.Array, cov: jax.Array | None = None) -> jax.Array | None:
+    """Tell which components of a measurement `(z,)` are there, see `measured_in`; None, for all, of values `(z, n)`, which were drawn."""
+    if value.ndim != 1:
+        return None
+    return ~jnp.isnan(value) if cov is None else measured_in(value, cov)
 
 
 def _linear(x: jax.Array, u: Any, t: Any) -> jax.Array:

@@ -196,11 +196,19 @@ class Correction(NamedTuple, Generic[L]):
         law: the conditional law.
         log_evidence: log density of the measurement before it was known, `()` or `(n,)`; NaN where the prediction is not a number.
         peak: the same for a perfect prediction; half the squared Mahalanobis distance is the difference.
+        count: number of components that were used, where whoever chose them says so.
     """
 
     law: L
     log_evidence: jax.Array
     peak: jax.Array
+    count: jax.Array | int = 0
+
+
+def measured_in(y: jax.Array, R: jax.Array) -> jax.Array:
+    """Tell which components of y `(y,)` were measured, `(y,)` or `(y, n)`: neither NaN nor with an infinite variance in R `(y, y, *n)`."""
+    finite = jnp.isfinite(jnp.stack([R[i, i] for i in range(R.shape[0])]))
+    return finite & ~(jnp.isnan(y)[:, None] if finite.ndim == 2 else jnp.isnan(y))
 
 
 def log_normal(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:

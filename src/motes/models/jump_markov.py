@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks
+from motes.core import checks, linalg
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.laws.gaussian import Correction, Gaussian
@@ -172,6 +172,24 @@ def measured(model: JumpMarkovModel, law: ModeMixture, y: jax.Array, u: Any, t: 
     evidence, peak = (jnp.concatenate([getattr(one, name) for one in done]) for name in ("log_evidence", "peak"))
     peak = jnp.where(jnp.isfinite(law.log_weights), peak, jnp.finfo(peak.dtype).max)
     return Correction(joined_parts([one.law for one in done]), evidence, peak)
+
+
+def predicted(model: JumpMarkovModel, law: ModeMixture, columns: jax.Array, u: Any, t: Any) -> Gaussian:
+    """Return what some components expect to measure: means `(y, m k)`, covariances `(y, y, m k)`, mode after mode.
+
+    Args:
+        model: the system.
+        law: see `measured`.
+        columns: places `(k,)` within each block.
+        u: inputs of the step.
+        t: the time.
+    """
+    centers, covs = (jnp.split(leaf, model.count, axis=-1) for leaf in (law.parts.center, law.parts.covariance))
+    blocks = []
+    for part, center, cov in zip(model.models, centers, covs, strict=True):
+        prediction, slope, noise = linearize.affine_each(part.sensor, center[:, columns], u, t)
+        blocks.append(Gaussian(prediction, linalg.add(linalg.sandwich(slope, cov[..., columns]), noise)))
+    return joined_parts(blocks)
 
 
 def modes_of(model: Any) -> tuple[Any, ...]:

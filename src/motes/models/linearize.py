@@ -9,7 +9,7 @@ import numpy as np
 
 from motes.core import linalg
 from motes.laws.conditional import AdditiveGaussian, Conditional, LinearGaussian, matrix
-from motes.laws.gaussian import Correction, Gaussian
+from motes.laws.gaussian import Correction, Gaussian, measured_in
 from motes.models.mixed_linear import user_order
 
 
@@ -33,7 +33,7 @@ def moved(dynamics: Conditional, law: Gaussian, u: Any, t: Any) -> Gaussian:
 
 
 def measured(sensor: Conditional, law: Gaussian, y: jax.Array, u: Any, t: Any, iterations: int = 1) -> Correction:
-    """Condition a Gaussian on a measurement `(y,)` through the sensor's slope; NaN means not measured.
+    """Condition a Gaussian on a measurement `(y,)` through the sensor's slope; NaN or an infinite variance means not measured.
 
     The slope is first taken at the mean, then at the mean that the last correction gave; all corrections start from the law given.
     """
@@ -41,9 +41,10 @@ def measured(sensor: Conditional, law: Gaussian, y: jax.Array, u: Any, t: Any, i
     for _ in range(iterations):
         prediction, slope, noise = affine(sensor, point, u, t)
         at_mean = prediction + slope @ (law.center - point)
-        done = law.corrected(sensor.residual(y, at_mean), slope, noise, ~jnp.isnan(y))
+        seen = measured_in(y, noise)
+        done = law.corrected(sensor.residual(y, at_mean), slope, noise, seen)
         point = done.law.center
-    return done
+    return done._replace(count=jnp.sum(seen))
 
 
 def moved_each(dynamics: Conditional, laws: Gaussian, u: Any, t: Any, shared: tuple[jax.Array, jax.Array] | None) -> Gaussian:
@@ -67,7 +68,7 @@ def measured_each(sensor: Conditional, laws: Gaussian, y: jax.Array, u: Any, t: 
     """Condition each of a batch of Gaussians, means `(x, n)`, covariances `(x, x, n)`, as `measured` does."""
     prediction, slope, noise = affine_each(sensor, laws.center, u, t)
     every = range(laws.center.shape[0])
-    return laws.corrected_in_turn(sensor.residual(y, prediction), [(every, slope)], noise, ~jnp.isnan(y))
+    return laws.corrected_in_turn(sensor.residual(y, prediction), [(every, slope)], noise, measured_in(y, noise))
 
 
 def slope_in(part: Conditional, states: Sequence[int], x: jax.Array, u: Any, t: Any) -> jax.Array:

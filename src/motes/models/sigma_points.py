@@ -15,7 +15,7 @@ import numpy as np
 from motes.core import linalg
 from motes.core.record import record, static
 from motes.laws.conditional import Conditional, matrix_over, over_particles
-from motes.laws.gaussian import Correction, Gaussian
+from motes.laws.gaussian import Correction, Gaussian, measured_in
 from motes.models import linearize
 
 
@@ -99,7 +99,8 @@ def moved(dynamics: Conditional, rule: SigmaPoints, law: Gaussian, u: Any, t: An
 def measured(sensor: Conditional, rule: SigmaPoints, law: Gaussian, y: jax.Array, u: Any, t: Any) -> Correction:
     """Condition a Gaussian on a measurement `(y,)` with the joint moments of state and measurement; NaN means not measured."""
     prediction, slope, noise = affine(sensor, rule, law, u, t)
-    return law.corrected(sensor.residual(y, prediction), slope, noise, ~jnp.isnan(y))
+    seen = measured_in(y, noise)
+    return law.corrected(sensor.residual(y, prediction), slope, noise, seen)._replace(count=jnp.sum(seen))
 
 
 def affine(part: Conditional, rule: SigmaPoints, law: Gaussian, u: Any, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:

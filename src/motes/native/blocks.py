@@ -100,8 +100,8 @@ def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.A
     return differentiable(native, pure)(log_weights, knobs, policy)
 
 
-def resample(key: jax.Array, scheme: Scheme, policy: Policy, law: Any, log_score: jax.Array | None = None) -> Any:
-    """See `policy.resample`."""
+def resampled(key: jax.Array, scheme: Scheme, policy: Policy, law: Any, log_score: jax.Array | None) -> Any:
+    """See `policy.resampled`."""
     chosen = ancestors(key, scheme, policy, law.log_weights) if log_score is None else None
     return None if chosen is None else replace(law.picked(chosen[0]), log_weights=chosen[1])
 
@@ -119,5 +119,5 @@ def joint_weights(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: ja
     return differentiable(native, engine.original(logspace.joint_weights))(log_weights, log_likelihood, ceiling)
 
 
-for implementation in (normal_block, weighted_moments, resample, joint_weights):
+for implementation in (normal_block, weighted_moments, resampled, joint_weights):
     engine.offer(implementation.__name__, implementation)

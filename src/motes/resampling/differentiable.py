@@ -22,6 +22,7 @@ class StopGradient(Scheme):
     """
 
     scheme: Scheme = Systematic()
+    has_gradient = True
 
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
         """Draw n ancestors; see `Scheme`."""
@@ -50,6 +51,7 @@ class EntropicTransport(Scheme):
 
     entropy: float = 0.1
     steps: int = static(default=50)
+    has_gradient = True
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""

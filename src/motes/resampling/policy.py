@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, engine, logspace
 from motes.core.record import record
+from motes.resampling import gradients
 from motes.resampling.schemes import Scheme, W
 
 
@@ -74,7 +75,6 @@ class Entropy(Policy):
         return logspace.entropy_deficit(log_weights) > self.threshold
 
 
-@engine.replaceable
 def resample(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W, log_score: jax.Array | None = None) -> W:
     """Return the cloud resampled where the policy says so; the law it stands for is unchanged on average.
 
@@ -86,6 +86,13 @@ def resample(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W, log_score
         log_score: log of factors on the weights that particles are picked by, `(n,)`, for a filter that looks ahead. Particles that were
             picked then keep the inverse of their factor as weight: weights add up to one on average, not each time.
     """
+    after = resampled(key, scheme, policy, cloud, log_score)
+    return gradients.noticed(after) if gradients.loses(scheme, policy) else after
+
+
+@engine.replaceable
+def resampled(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W, log_score: jax.Array | None) -> W:
+    """Do what `resample` does."""
     first = None if log_score is None else logspace.normalize(cloud.log_weights + log_score)[0]
 
     def chosen() -> W:

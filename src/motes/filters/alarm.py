@@ -1,0 +1,205 @@
+"""The alarm of a filter that lies: measurements are held against what the filter predicted of them.
+
+1. Surprise: the squared innovation in units of the predicted measurement's covariance. Of a cloud, mean and covariance are those of what
+   some of its particles predict, and the cloud says itself how its squares scatter: they are brought to the mean and variance of a
+   chi-square number of `freedom` degrees (Satterthwaite 1946), fewer than components of y where the prediction has heavy tails.
+2. Noises that are no Gaussians: the rank of the square among those of predicted draws, as the chi-square number of that rank.
+3. Cumulative sum (Page 1954) of the log likelihood ratio of an innovation covariance four times the claimed one,
+   C <- max(0, C + 3/8 surprise - freedom log 2); past a threshold the alarm rings and the sum starts anew.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammainc
+from scipy.special import gammaincinv
+
+from motes.core import linalg, random
+from motes.laws.circular import wrap
+from motes.laws.conditional import AdditiveGaussian, Conditional, Custom, matrix_over
+from motes.laws.gaussian import among, measured_in, zeroed
+
+THRESHOLD = 10.0
+"""Nats of the cumulative sum at which the alarm rings: once in more than 1e5 steps where all claims are right."""
+MOST = 5.0
+"""Nats that one step can add: one wild measurement alone is no alarm."""
+WIDER = 4.0
+"""Covariance of innovations, in units of the claimed one, that the sum is made to find soonest (Lorden 1971)."""
+FEWEST, MANY = 128, 256
+"""Particles that are asked for predictions: a sixteenth of all, between the two."""
+
+
+class Surprise(NamedTuple):
+    """How far a measurement lies from its prediction.
+
+    Attributes:
+        square: `()`, a chi-square number where the claims are right.
+        freedom: its degrees of freedom, `()`; 0 where nothing was measured or no prediction is known.
+    """
+
+    square: jax.Array
+    freedom: jax.Array
+
+
+def advanced(total: jax.Array, square: jax.Array, freedom: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the cumulative sum after one more measurement, and whether the alarm rings."""
+    after = jnp.maximum(total + gain(square, freedom), 0)
+    rings = after > THRESHOLD
+    return jnp.where(rings, 0, after), rings
+
+
+def advanced_in_parallel(square: jax.Array, freedom: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Do what `advanced` does for all steps `(t,)` at once; the sum is not started anew, so that a lasting cause rings once.
+
+    Steps combine as max-plus maps x -> max(x + a, b). Returns the last sum, at most the threshold, and where the alarm rings `(t,)`.
+    """
+    first = gain(square, freedom)
+    steps = (first, jnp.zeros_like(first))
+    shift, least = jax.lax.associative_scan(lambda one, two: (one[0] + two[0], jnp.maximum(one[1] + two[0], two[1])), steps)
+    over = jnp.maximum(shift, least) > THRESHOLD
+    return jnp.minimum(jnp.maximum(shift, least)[-1], THRESHOLD), over & ~jnp.concatenate([jnp.zeros((1,), bool), over[:-1]])
+
+
+def gain(square: jax.Array, freedom: jax.Array) -> jax.Array:
+    """Log likelihood ratio of innovations as wide as the alarm is made for; a square that is not a number counts as the largest."""
+    ratio = 0.5 * (1 - 1 / WIDER) * square - 0.5 * np.log(WIDER) * freedom
+    return jnp.where(freedom > 0, jnp.where(ratio < MOST, ratio, MOST), 0)
+
+
+def unknown(dtype: Any) -> Surprise:
+    """Return what is said of a measurement without a prediction."""
+    return Surprise(jnp.zeros((), dtype), jnp.zeros((), dtype))
+
+
+def some_of(n: int, most: int = MANY) -> slice:
+    """Places of the particles that are asked: evenly spaced, since resampling leaves the offspring of one parent side by side."""
+    return slice(0, n, max(1, n // min(max(n // 16, FEWEST), most)))
+
+
+def few_of(log_weights: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Indices `(k,)` of columns of log weights `(m, n)` that stand for all, and their log weights `(m, k)`.
+
+    Every column, or where they are many some, picked evenly along the sum of their weights, which are too uneven for `some_of`.
+    """
+    n = log_weights.shape[1]
+    if n <= FEWEST:
+        return jnp.arange(n), log_weights
+    shares = jax.nn.logsumexp(log_weights, axis=0)
+    sums = jnp.cumsum(jnp.exp(shares))
+    at = (jnp.arange(FEWEST, dtype=sums.dtype) + 0.5) / FEWEST * sums[-1]
+    picked = jnp.clip(jnp.searchsorted(sums, at), 0, n - 1)
+    return picked, log_weights[:, picked] - shares[picked]
+
+
+def within(gate: float, square: jax.Array, freedom: jax.Array) -> jax.Array:
+    """Tell whether a measurement lies in the region that holds a share `gate` of chi-square numbers."""
+    return gammainc(0.5 * jnp.maximum(freedom, 1e-3), 0.5 * square) <= gate
+
+
+def of_cloud(key: jax.Array, sensor: Conditional, X: jax.Array, log_weights: jax.Array, y: jax.Array, u: Any, t: Any) -> Surprise:
+    """Surprise of y `(y,)` given weighted particles X `(x, m)` before they saw it.
+
+    Args:
+        key: for sensors whose noise is drawn.
+        sensor: the sensor.
+        X: some of the particles.
+        log_weights: of these, not normalized, `(m,)`.
+        y: the measurement.
+        u: inputs of the step.
+        t: its number.
+    """
+    X, log_weights = _apart((X, log_weights))
+    if isinstance(sensor, AdditiveGaussian):
+        return of_mixture(sensor.angles, sensor.means(X, u, t), matrix_over(sensor.Q, X, u, t), log_weights, y)
+    if isinstance(sensor, Custom) and sensor.sampler is None:
+        return unknown(X.dtype)
+    return _ranked(sensor, sensor.sample(random.child(key, random.MEASURE), X, u, t), log_weights, y)
+
+
+def of_mixture(
+    angles: tuple[int, ...], centers: jax.Array, covs: jax.Array, log_weights: jax.Array, y: jax.Array, drawn: bool = True
+) -> Surprise:
+    """Surprise of a measurement where m Gaussians are predicted of it.
+
+    Args:
+        angles: components of y that are angles in radians.
+        centers: means `(y, m)`.
+        covs: `(y, y)` or `(y, y, m)`.
+        log_weights: not normalized, `(m,)`.
+        y: the measurement.
+        drawn: whether the Gaussians are a sample of more.
+    """
+    seen = measured_in(y, covs)
+    seen = jnp.all(seen, axis=1) if seen.ndim == 2 else seen
+    told = _spread(angles, centers, log_weights, y, seen)
+    off, weights, size, inside = told.off, told.weights, y.shape[0], among(covs, seen)
+    factor = linalg.cholesky(told.cov + (inside @ weights if inside.ndim == 3 else inside))
+    square = jnp.sum(linalg.solve_lower(factor, told.middle) ** 2)
+    # about the predicted mean the squares of the m Gaussians have the mean `size`; their second moment says how they scatter
+    off = linalg.solve_lower(factor, off - told.middle[:, None])
+    inside = linalg.solve_lower(factor, linalg.transpose(linalg.solve_lower(factor, inside)))
+    own, twice = jnp.trace(inside), jnp.sum(inside**2, axis=(0, 1))
+    between = jnp.sum(off**2, axis=0)
+    if inside.ndim == 3:
+        across = jnp.sum(off * linalg.times_vector(inside, off), axis=0)
+        second, share = weights @ ((own + between) ** 2 + 2 * twice + 4 * across), (weights @ between) / size
+    else:
+        # spread and own covariance add up to the identity: two of the sums over particles are known
+        second, share = weights @ between**2 + own * (2 * size - own) + 4 * own - 2 * twice, 1 - own / size
+    # few particles know their spread badly: the square scatters as Student's does
+    count = told.count if drawn else jnp.inf
+    variance = second - size**2 + 2 * size * (size + 2) * share**2 / count
+    wider = jnp.maximum(variance / (2 * size), 1)
+    freedom = jnp.sum(seen, dtype=y.dtype) / wider
+    # heavier tails than a Gaussian's are seen by few particles: the further they go, the less one measurement may tell
+    most = (MOST / wider**3 + 0.5 * np.log(WIDER) * freedom) / (0.5 * (1 - 1 / WIDER))
+    return Surprise(jnp.minimum(square / (wider * (1 + share / count)), most), freedom)
+
+
+class _Spread(NamedTuple):
+    """Predicted values about a measurement: differences `(y, m)`, their weights, effective number, mean and covariance."""
+
+    off: jax.Array
+    weights: jax.Array
+    count: jax.Array
+    middle: jax.Array
+    cov: jax.Array
+
+
+def _spread(angles: tuple[int, ...], values: jax.Array, log_weights: jax.Array, y: jax.Array, seen: jax.Array) -> _Spread:
+    """Take values `(y, m)` less the measurement, zero where it is missing; what is not a number has no weight.
+
+    Differences of angles are wrapped about the heaviest value, so that those of one side stay together.
+    """
+    about = values[:, jnp.argmax(log_weights)] if angles else y
+    off = zeroed(wrap(values - about[:, None], angles), seen)
+    off = off - zeroed(wrap(y - about, angles), seen)[:, None] if angles else off
+    valid = jnp.all(jnp.isfinite(off), axis=0)
+    weights, off = jnp.where(valid, jnp.exp(log_weights), 0), jnp.where(valid, off, 0)
+    # all sums over particles in one product: one after the other they take most of the time
+    rows = jnp.concatenate([off, weights[None], jnp.ones_like(weights)[None]])
+    sums = linalg.product_transposed(rows * weights, rows)
+    total, middle = sums[-1, -1], sums[-1, :-2] / sums[-1, -1]
+    return _Spread(off, weights / total, total**2 / sums[-1, -2], middle, sums[:-2, :-2] / total - middle[:, None] * middle)
+
+
+def _ranked(sensor: Conditional, draws: jax.Array, log_weights: jax.Array, y: jax.Array) -> Surprise:
+    """Surprise of y among weighted draws `(y, m)` of what was predicted."""
+    size, count = draws.shape
+    seen = ~jnp.isnan(y)
+    told = _spread(sensor.angles, draws, log_weights, y, seen)
+    factor = linalg.cholesky(among(told.cov, seen))
+    square, others = (jnp.sum(linalg.solve_lower(factor, e) ** 2, axis=0) for e in (told.middle, told.off - told.middle[:, None]))
+    rank = jnp.sum(jnp.where(others < square, told.weights, 0))
+    ranks = (np.arange(count + 1) + 0.5) / (count + 1)
+    table = np.stack([2 * gammaincinv(degrees / 2, ranks) if degrees else np.zeros(count + 1) for degrees in range(size + 1)])
+    measured = jnp.sum(seen)
+    square = jnp.asarray(table, y.dtype)[measured, jnp.clip(jnp.round(rank * count), 0, count).astype(jnp.int32)]
+    return Surprise(square, measured.astype(y.dtype))
+
+
+def _apart(tree: Any) -> Any:
+    """Keep what is read here out of the loops that filter: neither its bits nor its derivatives are to depend on the alarm."""
+    return jax.lax.optimization_barrier(jax.lax.stop_gradient(tree))

@@ -1,0 +1,92 @@
+"""What a run says unasked: findings that are warned of once, in one line; `diagnose` gives them with all others."""
+
+import numpy as np
+
+from motes.core import checks
+from motes.core.findings import Finding
+from motes.filters import precision
+from motes.filters.history import History
+
+SCARCE = 10.0
+"""Effective sample size below which a step lives on too few particles to trust; of few particles, a fifth of them."""
+STARVED = 5.0
+"""The same, below which estimates after it are not to be trusted: their errors exceed by far what they claim."""
+
+
+def warn(history: History, before: History | None) -> None:
+    """Warn of a run in one line; what the part of the run before it had told already is not told again."""
+    known = set() if before is None else {finding.name for finding in notices(before)}
+    found = [finding for finding in notices(history) if finding.name not in known]
+    if found:
+        first, *rest = found
+        more = f" Also: {', '.join(finding.name for finding in rest)}." if rest else ""
+        checks.warn(f"{history.label.split('(')[0]}: {first.text} {first.advice}{more} mo.diagnose says more.")
+
+
+def notices(history: History) -> list[Finding]:
+    """Return what a run is warned of: collapse, starvation, coarse numbers, the alarm; the most telling first."""
+    coarse = coarseness(history)
+    # measurements scatter where numbers are coarse, which has another cure
+    found = [collapse(history), *coarse, starvation(history), None if coarse else alarm(history)]
+    return [finding for finding in found if finding is not None]
+
+
+def collapse(history: History) -> Finding | None:
+    """Tell of measurements that nothing explained and that were not used."""
+    steps = np.flatnonzero(np.asarray(history.info.collapsed))
+    if not steps.size:
+        return None
+    if not history.weighs:
+        text = f"at {at(history, steps)} the innovation was so far off that the measurement was not used."
+        return Finding("collapse", text, "Check the measurement there; widen the noises, or set a gate.", True)
+    text = f"at {at(history, steps)} no particle explained the measurement, which was then not used."
+    return Finding("collapse", text, "Check the measurement there; widen the noises, or use more particles or a proposal.", True)
+
+
+def starvation(history: History) -> Finding | None:
+    """Tell of steps, the first included, after which few particles had all the weight."""
+    ess = np.asarray(history.ess, np.float64)
+    scarce = min(SCARCE, 0.2 * history.particles)
+    steps = np.flatnonzero(ess < scarce)
+    if not steps.size:
+        return None
+    worst = int(np.argmin(ess))
+    text = (f"at {at(history, steps)} fewer than {scarce:g} of {history.particles} particles were effective"
+            f" (at step {int(history.start) + worst} {ess[worst]:.2g}).")  # fmt: skip
+    advice = "More particles, a proposal that looks ahead, regularization, or a marginalized filter."
+    return Finding("starvation", text, advice, bool(ess[worst] < min(STARVED, 0.1 * history.particles)))
+
+
+def coarseness(history: History) -> list[Finding]:
+    """Tell of measured components whose numbers are too coarse for their noise, and of priors too wide for it."""
+    if history.rounding is None:
+        return []
+    spacing, prior = np.asarray(history.rounding, np.float64)
+    found = []
+    if spacing.max() > precision.COARSE:
+        worst, kind = int(np.argmax(spacing)), np.asarray(history.rounding).dtype
+        text = f"component {worst} of y, or the states it measures, is so large that {kind} rounds it by {spacing[worst]:.2g} of its noise."
+        advice = "Take an origin near the data off measurements and states, or use float64 (jax.config.update('jax_enable_x64', True))."
+        found.append(Finding("precision", text, advice, True))
+    if history.subtracts and prior.max() > precision.LOST:
+        worst, kind = int(np.argmax(prior)), np.asarray(history.rounding).dtype
+        ratio = prior[worst] / np.finfo(kind).eps
+        text = f"the prior variance of component {worst} of y is {ratio:.1g} times its noise's: more than {kind} can take apart."
+        advice = "Use a narrower prior, SquareRootKalmanFilter, or float64 (jax.config.update('jax_enable_x64', True))."
+        found.append(Finding("wide prior", text, advice, True))
+    return found
+
+
+def alarm(history: History) -> Finding | None:
+    """Tell where the alarm rang."""
+    steps = np.flatnonzero(np.asarray(history.info.alarm))
+    if not steps.size:
+        return None
+    text = f"alarm at {at(history, steps)}: measurements scatter more than was predicted of them."
+    return Finding("alarm", text, "Raise the noises, look for what the model leaves out, or use more particles.", True)
+
+
+def at(history: History, steps: np.ndarray) -> str:
+    """Name some steps: the only one, or how many and the first."""
+    first = int(history.start) + int(steps[0])
+    return f"step {first}" if steps.size == 1 else f"{steps.size} steps (first step {first})"

@@ -1,0 +1,45 @@
+"""Whether numbers have the digits that a filter needs: rounding of data and states beside the noise, and of wide priors beside it."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import linalg
+from motes.laws.law import Foreign
+from motes.models import linearize
+from motes.models.jump_markov import modes_of
+from motes.models.mixed_linear import MixedLinearModel
+from motes.models.state_space import StateSpaceModel
+
+COARSE = 0.1
+"""Spacing of numbers, in standard deviations of the noise, from which on estimates are off by a tenth of their own standard deviation."""
+LOST = 0.05
+"""Rounding of the prior variance of a measurement, in variances of its noise, from which on a corrected covariance is no longer right."""
+
+
+def rounding(model: Any, ys: jax.Array, u: Any) -> jax.Array:
+    """Return how coarse numbers are for each measured component, `(2, y)`, as seen from the first state; zeros where it is not known.
+
+    The first row is the spacing of numbers of the size of the data and of what the states contribute, in standard deviations of the noise;
+    the second the rounding of the measurement's variance under the initial law, in variances of the noise.
+
+    Args:
+        model: the user's model.
+        ys: measurements `(t, y)`.
+        u: inputs of the first step.
+    """
+    models = [part.joined() if isinstance(part, MixedLinearModel) else part for part in modes_of(model)]
+    found = [_of_one(part, ys, u) for part in models if linearize.has_moments(part.sensor) and not isinstance(part.initial, Foreign)]
+    return jnp.max(jnp.stack(found), axis=0) if found else jnp.zeros((2, ys.shape[1]), ys.dtype)
+
+
+def _of_one(model: StateSpaceModel, ys: jax.Array, u: Any) -> jax.Array:
+    center, cov = model.initial.mean(), model.initial.cov()
+    _, slope, noise = linearize.affine(model.sensor, center, u, jnp.int32(0))
+    variance = jnp.diagonal(noise)
+    size = jnp.max(jnp.where(jnp.isnan(ys), 0, jnp.abs(ys)), axis=0)
+    size = jnp.maximum(size, jnp.where(jnp.isfinite(slope), jnp.abs(slope), 0) @ jnp.abs(center))
+    prior = jnp.diagonal(linalg.sandwich(slope, cov))
+    found = float(jnp.finfo(ys.dtype).eps) * jnp.stack([size * jax.lax.rsqrt(variance), prior / variance])
+    return jnp.where(jnp.isfinite(found) & (variance > 0), found, 0).astype(ys.dtype)
