@@ -29,6 +29,8 @@ WIDER = 4.0
 """Covariance of innovations, in units of the claimed one, that the sum is made to find soonest (Lorden 1971)."""
 FEWEST, MANY = 128, 256
 """Particles that are asked for predictions: a sixteenth of all, between the two."""
+TOO_FEW = 4.0
+"""Effective number of the particles asked, below which they do not stand for the cloud."""
 
 
 class Surprise(NamedTuple):
@@ -155,7 +157,10 @@ def of_mixture(
     freedom = jnp.sum(seen, dtype=y.dtype) / wider
     # heavier tails than a Gaussian's are seen by few particles: the further they go, the less one measurement may tell
     most = (MOST / wider**3 + 0.5 * np.log(WIDER) * freedom) / (0.5 * (1 - 1 / WIDER))
-    return Surprise(jnp.minimum(square / (wider * (1 + share / count)), most), freedom)
+    square = jnp.minimum(square / (wider * (1 + share / count)), most)
+    # a cloud so uneven that the particles asked have none of its weight predicts nothing: its starvation is told otherwise
+    known = told.count > TOO_FEW if drawn else jnp.ones((), bool)
+    return Surprise(jnp.where(known, square, 0), jnp.where(known, freedom, 0))
 
 
 class _Spread(NamedTuple):

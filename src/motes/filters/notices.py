@@ -27,7 +27,7 @@ def notices(history: History) -> list[Finding]:
     """Return what a run is warned of: collapse, starvation, coarse numbers, the alarm; the most telling first."""
     coarse = coarseness(history)
     # measurements scatter where numbers are coarse, which has another cure
-    found = [collapse(history), *coarse, starvation(history), None if coarse else alarm(history)]
+    found = [*coarse, collapse(history), starvation(history), None if coarse else alarm(history)]
     return [finding for finding in found if finding is not None]
 
 

@@ -38,7 +38,9 @@ def _of_one(model: StateSpaceModel, ys: jax.Array, u: Any) -> jax.Array:
     center, cov = model.initial.mean(), model.initial.cov()
     _, slope, noise = linearize.affine(model.sensor, center, u, jnp.int32(0))
     variance = jnp.diagonal(noise)
-    size = jnp.max(jnp.where(jnp.isnan(ys), 0, jnp.abs(ys)), axis=0)
+    # a power mean that one wild measurement hardly moves
+    seen = ~jnp.isnan(ys)
+    size = jnp.square(jnp.sum(jnp.sqrt(jnp.where(seen, jnp.abs(ys), 0)), axis=0) / jnp.maximum(jnp.sum(seen, axis=0), 1))
     size = jnp.maximum(size, jnp.where(jnp.isfinite(slope), jnp.abs(slope), 0) @ jnp.abs(center))
     prior = jnp.diagonal(linalg.sandwich(slope, cov))
     found = float(jnp.finfo(ys.dtype).eps) * jnp.stack([size * jax.lax.rsqrt(variance), prior / variance])
