@@ -21,6 +21,7 @@ from motes.core.progress import is_shown
 from motes.core.watchdog import watched
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
+from motes.filters.notices import notices
 from motes.filters.run import run_in_chunks
 from motes.io.archive import provenance, whole_file
 from motes.io.files import label
@@ -99,9 +100,18 @@ def results(outcome: Outcome) -> dict[str, Any]:
     ess = np.asarray(outcome.history.ess)
     milliseconds = None if outcome.seconds_per_step is None else 1e3 * outcome.seconds_per_step
     found = {"filter": repr(outcome.filter), "median_ess": float(np.median(ess)), "milliseconds_per_step": milliseconds}
+    found["alarms"] = int(np.sum(np.asarray(outcome.history.info.alarm)))
     if outcome.history.has_evidence:
         found["log_likelihood"] = float(outcome.history.log_likelihood)
     return found
+
+
+def told(outcomes: Mapping[str, Outcome]) -> None:
+    """Say, after all results, what the runs say unasked: a line for each filter, where there is something."""
+    for name, outcome in outcomes.items():
+        found = notices(outcome.history)
+        if found:
+            print(f"{name}: {' '.join(finding.text for finding in found)}")
 
 
 def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -53,6 +53,7 @@ def fly(flight: scenario.Flight, filters: Mapping[str, Filter], seed: int, setti
     for name, figure in _pictures(flight, outcomes).items():
         running.write_figure(folder / name, figure)
     running.write_summary(folder / "summary.json", settings, found)
+    running.told(outcomes)
     return folder
 
 
