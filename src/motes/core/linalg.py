@@ -122,10 +122,14 @@ def take(a: jax.Array, indices: Sequence[int], axis: int = 0) -> jax.Array:
     return jnp.concatenate(slices or [jax.lax.slice_in_dim(a, 0, 0, axis=axis)], axis=axis)
 
 
-def cholesky(a: jax.Array) -> jax.Array:
+def cholesky(a: jax.Array, scale: jax.Array | None = None) -> jax.Array:
     """Lower factor L with L L' = A for positive semi-definite A `(i, i, *n)`.
 
     A pivot that is zero up to rounding gives a zero column, so that a direction without variance stays exactly without.
+
+    Args:
+        a: A.
+        scale: size of the terms that made the diagonal, `(i, *n)`, for the rounding that A has; None where it is that of the diagonal.
     """
     size = a.shape[0]
     if size == 0:
@@ -135,7 +139,7 @@ def cholesky(a: jax.Array) -> jax.Array:
     L = [[jnp.zeros_like(a[0, 0])] * size for _ in range(size)]
     for j in range(size):
         pivot = a[j, j] - sum(L[j][k] * L[j][k] for k in range(j))
-        alive = pivot > tolerance * a[j, j]
+        alive = pivot > tolerance * (a[j, j] if scale is None else scale[j])
         root = jnp.sqrt(jnp.where(alive, pivot, jnp.inf))  # to divide by infinity leaves a zero column
         L[j][j] = jnp.where(alive, root, 0)
         for i in range(j + 1, size):
@@ -239,6 +243,21 @@ def solve(lower: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def log_determinant(lower: jax.Array) -> jax.Array:
-    """Log det(L L') from the factor; a direction without variance does not count."""
-    diagonal = jnp.stack([lower[i, i] for i in range(lower.shape[0])])
-    return 2 * jnp.sum(jnp.log(jnp.where(diagonal > 0, diagonal, 1)), axis=0)
+    """Log of the product of the eigenvalues of L L' that are not zero (all of its determinant where it is regular), from the factor.
+
+    With dead pivots, whose rows are M times the others, it is that of the rest times det(1 + M M').
+    """
+    size = lower.shape[0]
+    diagonal = diagonal_of(lower)
+    alive = diagonal > 0
+    log_pivots = 2 * jnp.sum(jnp.log(jnp.where(alive, diagonal, 1)), axis=0)
+    if size < 2:
+        return log_pivots
+    mixed = jnp.where(alive[None], 0, solve_upper(lower, transpose(lower)))
+    whole = diagonal_of(cholesky(add(identity_like(lower), product_transposed(mixed, mixed))))
+    return log_pivots + 2 * jnp.sum(jnp.log(whole), axis=0)
+
+
+def diagonal_of(a: jax.Array) -> jax.Array:
+    """Diagonal `(i, *n)` of `(i, i, *n)`."""
+    return jnp.stack([a[i, i] for i in range(a.shape[0])])

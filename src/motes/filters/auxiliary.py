@@ -14,8 +14,9 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Filter, Guide, Info, by_likelihood, guided, surprised, unguided
+from motes.filters.interface import Filter, Guide, Info, guided, surprised, unguided
 from motes.filters.needs import as_particle_model
+from motes.filters.sharp import ask_noise, conditions_exactly, first_weighed
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models import linearize
@@ -79,13 +80,21 @@ class AuxiliaryParticleFilter(Filter):
         self._moves.check("AuxiliaryParticleFilter", model, u)
         return model
 
+    def ask(self, model: Any, u: Any) -> None:
+        """Refuse a sensor without noise; only the optimal proposal takes its measurement in.
+
+        Raises:
+            MotesError: it has none in some component.
+        """
+        ask_noise(type(self).__name__, model, lambda: not conditions_exactly(self._moves, model))
+
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
         """Draw n particles from the initial law."""
         return Cloud.equal(model.initial.sample(key, self.n))
 
     def update(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
-        after, info = by_likelihood(key, model.sensor, state, y, u, t)
+        after, info = first_weighed(key, self._moves, model, state, y, u, t)
         return self.settle(state, after, info, y)
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:

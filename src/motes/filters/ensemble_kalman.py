@@ -17,7 +17,7 @@ from motes.filters.interface import Guide, Info, TwoStageFilter, single
 from motes.filters.needs import as_moment_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import matrix_over, over_particles
-from motes.laws.gaussian import Correction, among, log_normal, log_normal_peak, measured_in, zeroed
+from motes.laws.gaussian import Correction, among, log_normal, log_normal_peak, measured_in, noiseless, zeroed
 from motes.models.state_space import StateSpaceModel
 
 
@@ -102,7 +102,7 @@ class EnsembleKalmanFilter(TwoStageFilter):
             moved = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root, zeroed(innovation, seen)))
             less = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root + linalg.cholesky(R), out))
             after = X + moved[:, None] - less
-        density, peak = log_normal(innovation, S, seen), log_normal_peak(innovation, S, seen)
+        density, peak = log_normal(innovation, S, seen, jnp.abs(y), noiseless(R)), log_normal_peak(innovation, S, seen)
         info = single(Correction(None, density, peak, jnp.sum(seen)))
         return replace(state, particles=after), replace(info, ess=jnp.full((), self.n, X.dtype))
 

@@ -15,6 +15,7 @@ from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
 from motes.filters.needs import as_particle_model
+from motes.filters.sharp import ask_noise
 from motes.laws.circular import gathered
 from motes.laws.cloud import weighted_moments
 from motes.laws.gaussian import Gaussian
@@ -61,6 +62,14 @@ class GaussianParticleFilter(TwoStageFilter):
             MotesError: one is missing.
         """
         return as_particle_model("GaussianParticleFilter", model, transition_density=False)
+
+    def ask(self, model: Any, u: Any) -> None:
+        """Refuse a sensor without noise.
+
+        Raises:
+            MotesError: it has none in some component.
+        """
+        ask_noise(type(self).__name__, model)
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Gaussian:
         """Return the Gaussian with the moments of the initial law."""

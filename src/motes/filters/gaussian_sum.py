@@ -17,6 +17,7 @@ from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
 from motes.filters.needs import as_particle_model
+from motes.filters.sharp import ask_noise
 from motes.laws.cloud import weighted_moments
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, matrix_over, over_particles
 from motes.laws.gaussian import Gaussian
@@ -94,6 +95,14 @@ class GaussianSumParticleFilter(TwoStageFilter):
 
     def _copies(self, model: StateSpaceModel) -> int:
         return 1 if self.form == "I" else len(self._split(model))
+
+    def ask(self, model: Any, u: Any) -> None:
+        """Refuse a sensor without noise.
+
+        Raises:
+            MotesError: it has none in some component.
+        """
+        ask_noise(type(self).__name__, model)
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Mixture:
         """Spread mixands so that mean and covariance of all are those of the initial law (their width is a kernel's for so many points)."""

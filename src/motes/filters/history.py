@@ -137,10 +137,12 @@ class History:
         if not self.weighs:
             raise checks.CollapseError(self._far_innovation(where))
         lowest, highest = float(self.info.lowest[where]), float(self.info.highest[where])
+        # a density of zero everywhere is no matter of how many particles there are
+        cure = ("If the sensor has no noise in some component: give it a little, or use OptimalProposal or a Kalman filter"
+                if highest == -np.inf else "Check the measurement and the noises, use more particles")  # fmt: skip
         raise checks.CollapseError(
             f"step {int(self.start) + where}: all weights vanished: log likelihoods between {lowest:.4g} and {highest:.4g}; "
-            f"no particle explains the measurement ({self.label.split('(')[0]}). Check the measurement and the noises, use more particles, "
-            "or set on_collapse='predict' or 'inflate'."
+            f"no particle explains the measurement ({self.label.split('(')[0]}). {cure}, or set on_collapse='predict' or 'inflate'."
         )
 
     def _far_innovation(self, where: int) -> str:

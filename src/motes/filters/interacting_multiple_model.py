@@ -64,7 +64,8 @@ class InteractingMultipleModel(TwoStageFilter):
         possible = jnp.isfinite(log_weights)
         shares = jnp.where(possible, joint - jnp.where(possible, log_weights, 0), state.log_weights[:, None])
         between = moments_each(shares, jnp.broadcast_to(state.parts.center[..., None], (*state.parts.center.shape, model.count)))
-        within = jnp.einsum("abi,ij->abj", state.parts.covariance, jnp.exp(shares), precision=jax.lax.Precision.HIGHEST)
+        counted = jnp.where(jnp.isfinite(state.log_weights), state.parts.covariance, 0)
+        within = jnp.einsum("abi,ij->abj", counted, jnp.exp(shares), precision=jax.lax.Precision.HIGHEST)
         center, cov = between.center, linalg.symmetric(between.covariance + within)
         moved = [linearize.moved_each(part.dynamics, Gaussian(center[:, j, None], cov[..., j, None]), u, t, None)
                  for j, part in enumerate(model.models)]  # fmt: skip

@@ -251,6 +251,9 @@ class Filter(ABC):
         """
         return as_state_space(type(self).__name__, model)
 
+    def ask(self, model: Any, u: Any) -> None:  # noqa: B027 (most filters take any numbers)
+        """Refuse what the numbers of the user's model do not allow, as far as they are known; asked before anything is compiled."""
+
     @abstractmethod
     def init(self, key: jax.Array, model: Any) -> Any:
         """Return the law before the first measurement."""

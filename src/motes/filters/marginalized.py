@@ -21,6 +21,7 @@ from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.alarm import Surprise
 from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh, surprised
+from motes.filters.sharp import ask_noise
 from motes.laws.circular import near, wrap
 from motes.laws.gaussian import Gaussian, measured_in
 from motes.laws.marginal_cloud import MarginalCloud
@@ -77,6 +78,14 @@ class MarginalizedParticleFilter(TwoStageFilter):
             MotesError: the states asked for are not conditionally linear-Gaussian; the message names the function and the states.
         """
         return split(model, self.linear, u)
+
+    def ask(self, model: Any, u: Any) -> None:
+        """Refuse a sensor without noise that sees no state of the Kalman part.
+
+        Raises:
+            MotesError: it has none in some component.
+        """
+        ask_noise(type(self).__name__, model, lambda: self.prepare(model, u).likelihood is not None)
 
     def init(self, key: jax.Array, model: SplitModel) -> MarginalCloud:
         """Draw n particles of x_p, each with the Gaussian of x_k given it."""

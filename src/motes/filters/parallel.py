@@ -50,7 +50,10 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
     """
     ys, inputs = checked_data(model, ys, inputs)
     known = canonical(model, jax.tree.map(one_of, inputs), one_of(ys))
-    found = _run(known, ys, inputs, Beside(known))
+    found, exact = _run(known, ys, inputs, Beside(known))
+    if checks.is_concrete(exact) and bool(exact.any()):
+        checks.refuse("run_in_parallel model", "noise of process or sensor in all that is measured (likelihoods of steps are joined)",
+                      f"none at step {int(jnp.argmax(exact))}", "Use run with KalmanFilter.")
     history = replace(found, label="KalmanFilter() in parallel")
     if checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
@@ -59,7 +62,7 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
 
 
 @jitted
-def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> History:
+def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[History, jax.Array]:
     model, told = driven(model, inputs, ys)
     model = as_linear_model("run_in_parallel", model, at_step(told, 0))
     if model.sensor.angles:
@@ -69,7 +72,7 @@ def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> History:
     first = linearize.measured(model.sensor, Gaussian(model.initial.mean(), model.initial.cov()), ys[0], at_step(told, 0), t[0])
     nothing = jnp.zeros_like(first.law.covariance)
     opening = _Element(nothing, first.law.center, first.law.covariance, jnp.zeros_like(first.law.center), nothing)
-    others = jax.vmap(lambda y, u, t: _element(model, y, u, t))(*jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
+    others, exact = jax.vmap(lambda y, u, t: _element(model, y, u, t))(*jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
     elements = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), opening, others)
     together = jax.lax.associative_scan(jax.vmap(_combined), elements)
 
@@ -85,11 +88,15 @@ def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> History:
     evidence = RunningSum(jnp.sum(done.log_evidence), jnp.zeros((), ys.dtype))
     last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, suspicion, ys[-1], at_step(inputs, -1), t[-1])
     known = KalmanFilter().traits | {"rounding": precision.rounding(model, ys, at_step(told, 0)), "circular": model.circular}
-    return History(jax.vmap(keep.moments)(laws), info, last, jnp.int32(0), model.names, "", **known)
+    history = History(jax.vmap(keep.moments)(laws), info, last, jnp.int32(0), model.names, "", **known)
+    return history, jnp.append(False, exact)
 
 
-def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> _Element:
-    """Return a step as an element: x = F x' + c + noise of covariance Q, and y = H x + d + noise of covariance R."""
+def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tuple[_Element, jax.Array]:
+    """Return a step as an element: x = F x' + c + noise of covariance Q, and y = H x + d + noise of covariance R.
+
+    Also tell whether the measurement says something of x' without any noise, which no element can hold.
+    """
     nowhere = jnp.zeros((model.size,), y.dtype)
     c, F, Q = linearize.affine(model.dynamics, nowhere, u, t)
     d, H, R = linearize.affine(model.sensor, nowhere, u, t)
@@ -100,13 +107,14 @@ def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> _Ele
     gain = linalg.transpose(linalg.solve(factor, linalg.product(H, Q)))
     kept = linalg.identity_like(Q) - linalg.product(gain, H)
     back = linalg.product(H, F)
-    return _Element(
+    element = _Element(
         linalg.product(kept, F),
         c + gain @ surprise,
         linalg.sandwich(kept, Q) + linalg.sandwich(gain, R),
         linalg.transpose(back) @ linalg.solve(factor, surprise),
         linalg.symmetric(linalg.product(linalg.transpose(back), linalg.solve(factor, back))),
     )
+    return element, ~jnp.all(linalg.diagonal_of(factor) > 0)
 
 
 def _combined(first: _Element, second: _Element) -> _Element:

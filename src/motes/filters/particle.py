@@ -11,8 +11,9 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve, guided, surprised, unguided
+from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, guided, surprised, unguided
 from motes.filters.needs import as_particle_model
+from motes.filters.sharp import ask_noise, conditions_exactly, first_weighed
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models.proposals import Proposal, as_proposal
@@ -73,6 +74,14 @@ class ParticleFilter(TwoStageFilter):
         self._moves.check("ParticleFilter", model, u)
         return model
 
+    def ask(self, model: Any, u: Any) -> None:
+        """Refuse a sensor without noise; only the optimal proposal takes its measurement in.
+
+        Raises:
+            MotesError: it has none in some component.
+        """
+        ask_noise(type(self).__name__, model, lambda: not conditions_exactly(self._moves, model))
+
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
         """Draw n particles from the initial law."""
         return Cloud.equal(model.initial.sample(key, self.n))
@@ -88,7 +97,7 @@ class ParticleFilter(TwoStageFilter):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
-        return by_likelihood(key, model.sensor, state, y, u, t)
+        return first_weighed(key, self._moves, model, state, y, u, t)
 
     def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Go to the next time t and take in its measurement."""

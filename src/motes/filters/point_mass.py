@@ -14,7 +14,10 @@ from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
 from motes.filters.needs import as_state_space, ask_density
+from motes.filters.sharp import ask_full_noise, ask_noise
 from motes.laws.cloud import Cloud
+from motes.laws.conditional import AdditiveGaussian, matrix_over
+from motes.laws.gaussian import noiseless, slack
 from motes.models.state_space import StateSpaceModel
 
 
@@ -22,7 +25,9 @@ from motes.models.state_space import StateSpaceModel
 class PointMassFilter(TwoStageFilter):
     """Point-mass filter; its state is a `Cloud` whose particles are the nodes of a fixed grid.
 
-    The cost of a step grows with the square of the number of nodes. The grid must cover the state and be finer than the noise.
+    The cost of a step grows with the square of the number of nodes. The grid must cover the state and be finer than the noise. A step with
+    no noise at all that leaves every node where it is (two measurements at one time, or states that never change) is exact; other steps
+    without noise in some direction miss the nodes: they are refused, or collapse where they are met in the run alone.
 
     Attributes:
         lower: lower ends of the grid, one number per state, in the units of the state.
@@ -74,6 +79,15 @@ class PointMassFilter(TwoStageFilter):
         axes = [np.linspace(low, high, count) for low, high, count in zip(self.lower, self.upper, self.nodes, strict=True)]
         return jnp.asarray(np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")]), dtype)
 
+    def ask(self, model: Any, u: Any) -> None:
+        """Refuse a sensor without noise, and dynamics whose noise misses some direction.
+
+        Raises:
+            MotesError: it has none in some component.
+        """
+        ask_noise(type(self).__name__, model)
+        ask_full_noise(type(self).__name__, model)
+
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
         """Weigh the nodes by the initial density."""
         cloud = Cloud.equal(self.grid(model.dtype))
@@ -87,6 +101,8 @@ class PointMassFilter(TwoStageFilter):
             return jax.nn.logsumexp(model.dynamics.log_prob(node, points, u, t) + state.log_weights)
 
         weights = pairs.against_all(arriving, points.T, points.shape[-1])
+        if isinstance(model.dynamics, AdditiveGaussian):
+            weights = jnp.where(_misses(model.dynamics, points, u, t), jnp.nan, weights)
         return replace(state, log_weights=logspace.normalize(weights)[0])
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
@@ -95,3 +111,10 @@ class PointMassFilter(TwoStageFilter):
         weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
         found = alarm.of_cloud(key, model.sensor, state.particles, state.log_weights, y, u, t)
         return replace(state, log_weights=weights), surprised(info, found)
+
+
+def _misses(dynamics: AdditiveGaussian, points: jax.Array, u: Any, t: Any) -> jax.Array:
+    """Tell whether a step without noise in some direction leads off the nodes `(x, n)`."""
+    without = noiseless(matrix_over(dynamics.Q, points, u, t))
+    still = jnp.max(jnp.abs(dynamics.means(points, u, t) - points)) <= slack(points.dtype) * jnp.max(jnp.abs(points))
+    return jnp.any(without) & ~(jnp.all(without) & still)

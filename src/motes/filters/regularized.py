@@ -18,6 +18,7 @@ from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve
 from motes.filters.needs import as_particle_model
+from motes.filters.sharp import ask_noise
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.models.state_space import StateSpaceModel
@@ -76,6 +77,14 @@ class RegularizedParticleFilter(TwoStageFilter):
             MotesError: one is missing.
         """
         return as_particle_model("RegularizedParticleFilter", model, transition_density=self.look_ahead)
+
+    def ask(self, model: Any, u: Any) -> None:
+        """Refuse a sensor without noise.
+
+        Raises:
+            MotesError: it has none in some component.
+        """
+        ask_noise(type(self).__name__, model)
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
         """Draw n particles from the initial law."""

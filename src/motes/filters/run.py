@@ -65,6 +65,7 @@ def run(
         checks.shape("run key", key, (np.shape(ys)[0],), "(one for each step)")
     first = None if after is None else after.last
     u = jax.tree.map(one_of, inputs)
+    filter.ask(model, u)
     # functions that are equal for inputs of one shape need not be so for those that a run before had
     alike = first is None or jax.tree.map(shape_of, first.u) == u
     known = canonical_parts(filter, model, u, one_of(ys)) if alike else (filter, model)

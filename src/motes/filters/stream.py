@@ -134,6 +134,7 @@ class Stream:
         """Find the form under which compiled code is shared with equal filters and models; it holds for inputs of one shape."""
         shapes = None if u is None else jax.tree.map(shape_of, u)
         if self._form is None:
+            self.filter.ask(self.model, shapes)
             self._input_shapes = shapes
             self._parts = [jnp.asarray(leaf) for leaf in jax.tree.leaves((self.key, self.filter, self.model))]
             known = canonical_parts(self.filter, self.model, u, y)

@@ -158,10 +158,12 @@ class AdditiveGaussian(Conditional):
         """Draw one value for each particle, `(z, n)`."""
         return Gaussian(self.means(X, u, t), matrix_over(self.Q, X, u, t)).sample(key, X.shape[-1])
 
-    def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
-        """Log density given each particle; see `Conditional`."""
-        cov = matrix_over(self.Q, X, u, t)
-        return log_normal(self.residual(value, self.means(X, u, t)), cov, _measured(value, cov))
+    def log_prob(
+        self, value: jax.Array, X: jax.Array, u: Any, t: Any, size: jax.Array | None = None, trusted: float | None = None
+    ) -> jax.Array:
+        """Log density given each particle (see `Conditional`); `log_density` says what size (None: the value's) and trusted are."""
+        size, cov = jnp.abs(value) if size is None else size, matrix_over(self.Q, X, u, t)
+        return log_normal(self.residual(value, self.means(X, u, t)), cov, _measured(value, cov), size, None, trusted)
 
     def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density at a perfect fit."""
@@ -262,7 +264,8 @@ class AdditiveNoise(Conditional):
         # a prediction that is not a number is no missing measurement
         seen = _measured(value)
         wrong = jnp.isnan(residual) if seen is None else jnp.isnan(residual) & seen[:, None]
-        return jnp.where(jnp.any(wrong, axis=0), jnp.nan, self.law.log_prob(residual))
+        size = (jnp.abs(value),) if isinstance(self.law, Gaussian) else ()
+        return jnp.where(jnp.any(wrong, axis=0), jnp.nan, self.law.log_prob(residual, *size))
 
 
 @record

@@ -52,10 +52,12 @@ class FactoredGaussian(Law):
         innovation, H, R = zeroed(innovation, seen), zeroed(H, seen), among(R, seen)
         size = innovation.shape[0]
         nothing = jnp.zeros((self.center.shape[0], size), self.factor.dtype)
-        rows = [[linalg.cholesky(R), linalg.product(H, self.factor)], [nothing, self.factor]]
+        noise = linalg.cholesky(R)
+        rows = [[noise, linalg.product(H, self.factor)], [nothing, self.factor]]
         triangle = linalg.triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]))
         factor, gain, left = triangle[:size, :size], triangle[size:, :size], triangle[size:, size:]
-        log_evidence, peak = log_density(innovation, factor, seen)
+        size, exact = linalg.times_vector(jnp.abs(H), jnp.abs(self.center)), ~(linalg.diagonal_of(noise) > 0)
+        log_evidence, peak = log_density(innovation, factor, seen, size, exact)
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = self.center + linalg.times_vector(gain, linalg.solve_lower(factor, usable))
         return Correction(FactoredGaussian(center, left), log_evidence, peak)

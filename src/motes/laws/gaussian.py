@@ -1,7 +1,7 @@
 """The Gaussian law: affine maps of it and conditioning on measurements; Kalman filters are written with these two alone."""
 
 from collections.abc import Sequence
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -72,9 +72,14 @@ class Gaussian(Law):
         # written out: compilers hand a batch of such small products to a library that takes four times as long
         return self.center[:, None] + linalg.times_vector(factor[:, :, None], noise)
 
-    def log_prob(self, value: jax.Array) -> jax.Array:
-        """Log density at `(x,)` or `(x, n)`; NaN components are left out (the density of the rest)."""
-        return log_normal(linalg.add_vectors(value, -self.center), self.covariance, ~jnp.isnan(value))
+    def log_prob(self, value: jax.Array, size: jax.Array | None = None) -> jax.Array:
+        """Log density at `(x,)` or `(x, n)`; NaN components are left out (the density of the rest).
+
+        Where the covariance is singular it is the density on its span, and minus infinity elsewhere; `log_density` says what size is, here
+        None for that of the value.
+        """
+        size = jnp.abs(value) if size is None else size
+        return log_normal(linalg.add_vectors(value, -self.center), self.covariance, ~jnp.isnan(value), size)
 
     def through(self, A: jax.Array, b: jax.Array, Q: jax.Array) -> "Gaussian":
         """Return the law of A x + b + noise of covariance Q.
@@ -118,16 +123,19 @@ class Gaussian(Law):
             innovation, H, R = zeroed(innovation, seen), zeroed(H, seen), among(R, seen)
         P = self.covariance
         cross = linalg.product(H, P)
-        factor = linalg.cholesky(linalg.symmetric(linalg.add(linalg.product_transposed(cross, H), R)))
+        exact = noiseless(R)
+        S = linalg.symmetric(linalg.add(linalg.product_transposed(cross, H), R))
+        factor = linalg.cholesky(S, _terms(S, exact, H, P))
         # the barriers keep compilers from working factor and gain out again for every entry that uses them
         factor = jax.lax.optimization_barrier(factor)
-        log_evidence, peak = log_density(innovation, factor, seen)
+        size = linalg.times_vector(jnp.abs(H), jnp.abs(self.center))
+        log_evidence, peak = log_density(innovation, factor, seen, size, exact)
         gain = jax.lax.optimization_barrier(linalg.transpose(linalg.solve(*_same_batch(factor, cross))))
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = linalg.add_vectors(linalg.times_vector(gain, usable), self.center)
         kept = linalg.add(linalg.identity_like(P), -linalg.product(gain, H))
         joseph = linalg.add(linalg.sandwich(kept, P), linalg.sandwich(gain, R))
-        return Correction(Gaussian(center, joseph), log_evidence, peak)
+        return Correction(_kept_where(jnp.isnan(log_evidence), self, Gaussian(center, joseph)), log_evidence, peak)
 
     def corrected_in_turn(
         self, innovation: jax.Array, slopes: Sequence[tuple[Sequence[int], jax.Array]], R: jax.Array, seen: jax.Array | None = None
@@ -144,7 +152,6 @@ class Gaussian(Law):
             R: `(y, y, *n)`.
             seen: which components were measured, `(y,)` or `(y, n)`; None for all.
         """
-        components = innovation.shape[0] if seen is None else jnp.sum(seen, axis=0)
         if seen is not None:
             innovation, R = zeroed(innovation, seen), among(R, seen)
         factor, noise = linalg.unit_factor(R)
@@ -152,7 +159,7 @@ class Gaussian(Law):
         parts = [linalg.solve_lower(*_same_batch(factor, part)) for _, part in slopes]
         places = [(state, part, j) for (states, _), part in zip(slopes, parts, strict=True) for j, state in enumerate(states)]
         center, P = self.center, self.covariance
-        peak, distance = -0.5 * _LOG_2PI * jnp.asarray(components, P.dtype), jnp.zeros((), P.dtype)
+        peak, distance, off = (jnp.zeros((), P.dtype),) * 3
         for i in range(innovation.shape[0]):
             row = [(state, part[i, j]) for state, part, j in places]
             zero = jnp.zeros_like(center[0])
@@ -166,9 +173,12 @@ class Gaussian(Law):
             lower = jnp.where(used, linalg.inverse(jnp.maximum(variance, (1 + _ROUNDING * jnp.finfo(P.dtype).eps) * before)), 0)
             center = center + cross * (inverse * jnp.where(jnp.isfinite(surprise), surprise, 0))
             P = linalg.rank_update(P, cross, -lower)
-            peak = peak - 0.5 * jnp.log(jnp.where(used & (variance > 0), variance, 1))
+            peak = peak - jnp.where(used & (variance > 0), 0.5 * (jnp.log(jnp.where(variance > 0, variance, 1)) + _LOG_2PI), 0)
             distance = distance + inverse * surprise**2
-        return Correction(Gaussian(center, P), peak - 0.5 * distance, peak)
+            size = linalg.total([jnp.abs(slope * self.center[state]) for state, slope in row], zero) + jnp.abs(innovation[i])
+            off = jnp.maximum(off, jnp.where(used & ~(variance > 0), jnp.abs(surprise) - slack(P.dtype) * size, 0))
+        evidence = jnp.where(off > 0, -jnp.inf, peak - 0.5 * distance)
+        return Correction(_kept_where(jnp.isnan(evidence), self, Gaussian(center, P)), evidence, peak)
 
     def pinned(self, states: Sequence[int], noise: jax.Array) -> "Gaussian":
         """Draw some of the states of each law and condition it on the draw; the drawn states are left with no variance at all.
@@ -211,9 +221,53 @@ def measured_in(y: jax.Array, R: jax.Array) -> jax.Array:
     return finite & ~(jnp.isnan(y)[:, None] if finite.ndim == 2 else jnp.isnan(y))
 
 
-def log_normal(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:
-    """Log density of a zero-mean Gaussian at residuals `(y, *n)`, of the components in `seen` (`(y,)`, `(y, n)`, None for all)."""
-    return log_density(*_reduced(residual, cov, seen), seen)[0]
+def _kept_where(lost: jax.Array, before: Gaussian, after: Gaussian) -> Gaussian:
+    """Keep the laws that a measurement tells nothing of, as its prediction is no number: zero weight would not hide NaN moments."""
+    cov, old = after.covariance, before.covariance
+    if cov.ndim == lost.ndim + 2:
+        cov = jnp.where(lost, old if old.ndim == cov.ndim else old[..., None], cov)
+    return Gaussian(jnp.where(lost, before.center, after.center), cov)
+
+
+def slack(dtype: Any) -> float:
+    """Rounding that numbers are trusted to, as a share of their size."""
+    return _ROUNDING * float(jnp.finfo(dtype).eps)
+
+
+def noiseless(R: jax.Array) -> jax.Array:
+    """Tell of each component of a noise of covariance R `(y, y, *n)` whether those before it say all of it, `(y, *n)`."""
+    return ~(linalg.diagonal_of(linalg.cholesky(R)) > 0)
+
+
+def _terms(S: jax.Array, exact: jax.Array, H: jax.Array, P: jax.Array) -> jax.Array:
+    """Size of what the diagonal of S = H P H' + R is made of, `(y, *n)`; where there is noise that of S, which is never below R."""
+    spread = jnp.sqrt(jnp.maximum(linalg.diagonal_of(P), 0))
+    terms = jnp.square(linalg.times_vector(jnp.abs(H), spread))
+    own = linalg.diagonal_of(S)
+    if own.ndim > exact.ndim:
+        exact = exact[:, None]
+    return jnp.where(exact, terms if terms.ndim == own.ndim else terms[:, None], own)
+
+
+def log_normal(
+    residual: jax.Array,
+    cov: jax.Array,
+    seen: jax.Array | None = None,
+    size: jax.Array | float = 0.0,
+    exact: jax.Array | None = None,
+    trusted: float | None = None,
+) -> jax.Array:
+    """Log density of a zero-mean Gaussian at residuals `(y, *n)`, of the components in `seen` (`(y,)`, `(y, n)`, None for all).
+
+    Args:
+        residual: difference of a value and its mean.
+        cov: covariance `(y, y, *n)`; where it is singular the density is that on its span, and zero elsewhere.
+        seen: see above.
+        size: see `log_density`.
+        exact: likewise.
+        trusted: likewise.
+    """
+    return log_density(*_reduced(residual, cov, seen), seen, size, exact, trusted)[0]
 
 
 def log_normal_peak(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:
@@ -247,12 +301,48 @@ def among(R: jax.Array, seen: jax.Array) -> jax.Array:
     return jnp.where(both, R, unit)
 
 
-def log_density(residual: jax.Array, factor: jax.Array, seen: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-    """`log_normal` and its peak, from the lower factor of the covariance; components not seen are zero and of variance one."""
-    white = linalg.solve_lower(*_same_batch(factor, residual, 1))
-    components = residual.shape[0] if seen is None else jnp.sum(seen, axis=0)
-    peak = -0.5 * (linalg.log_determinant(factor) + _LOG_2PI * components)
-    return peak - 0.5 * jnp.sum(white**2, axis=0), peak
+def log_density(
+    residual: jax.Array,
+    factor: jax.Array,
+    seen: jax.Array | None,
+    size: jax.Array | float = 0.0,
+    exact: jax.Array | None = None,
+    trusted: float | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """`log_normal` and its peak, from the lower factor of the covariance; components not seen are zero and of variance one.
+
+    Args:
+        residual: `(y, *n)`.
+        factor: `(y, y, *n)`; a pivot of zero says that the components before it say all of this one.
+        seen: see `log_normal`.
+        size: how large the numbers are whose difference the residual is, `(y, *n)`: how far rounding may have led off the span.
+        exact: components `(y, *n)` whose zero pivots are to be believed; others are left out, since rounding made them. None for all.
+        trusted: share of the size that rounding may have; None for that of the type.
+    """
+    factor, residual = _same_batch(factor, residual, 1)
+    white, beyond = _whitened(factor, residual, size, slack(factor.dtype) if trusted is None else trusted)
+    alive = linalg.diagonal_of(factor) > 0
+    believed = ~alive if exact is None else ~alive & (exact[:, None] if exact.ndim < alive.ndim else exact)
+    off = jnp.any(believed[:, None] & (beyond > 0) if believed.ndim < beyond.ndim else believed & (beyond > 0), axis=0)
+    counted = alive if seen is None else alive & (seen[:, None] if seen.ndim < alive.ndim else seen)
+    peak = -0.5 * (linalg.log_determinant(factor) + _LOG_2PI * jnp.sum(counted, axis=0))
+    return jnp.where(off, -jnp.inf, peak - 0.5 * jnp.sum(white**2, axis=0)), peak
+
+
+def _whitened(factor: jax.Array, residual: jax.Array, size: jax.Array | float, trusted: float) -> tuple[jax.Array, jax.Array]:
+    """Solve L z = b as `solve_lower` does; also return by how much what is left of each component exceeds its rounding, `(y, *n)`."""
+    size = jnp.abs(residual) + (size[:, None] if isinstance(size, jax.Array) and size.ndim < residual.ndim else size)
+    rows: list[jax.Array] = []
+    sizes: list[jax.Array] = []
+    beyond: list[jax.Array] = []
+    for i in range(factor.shape[0]):
+        inverse = linalg.inverse(factor[i, i])
+        left = residual[i] - sum(factor[i, j] * row for j, row in enumerate(rows))
+        reach = size[i] + sum(jnp.abs(factor[i, j]) * one for j, one in enumerate(sizes))
+        rows.append(left * inverse)
+        sizes.append(reach * inverse)
+        beyond.append(jnp.abs(left) - trusted * reach)
+    return jnp.stack(rows), jnp.stack(beyond)
 
 
 def _same_batch(factor: jax.Array, b: jax.Array, small_axes: int = 2) -> tuple[jax.Array, jax.Array]:

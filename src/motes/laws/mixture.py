@@ -18,7 +18,7 @@ def moments_each(log_weights: jax.Array, points: jax.Array, angles: tuple[int, .
 
     The rows in `angles` may lie on any branch.
     """
-    points = gathered(points, log_weights, angles)
+    points = gathered(jnp.where(log_weights > -jnp.inf, points, 0), log_weights, angles)
     weights, exact = jnp.exp(log_weights), jax.lax.Precision.HIGHEST
     center = jnp.einsum("inm,nm->im", points, weights, precision=exact)
     off = points - center[:, None]
@@ -57,13 +57,17 @@ class Mixture(Law):
 
     def mean(self) -> jax.Array:
         """Mean, `(x,)`."""
-        return weighted_moments(self.log_weights, self.parts.center)[0]
+        return weighted_moments(self.log_weights, self._counted(self.parts.center))[0]
+
+    def _counted(self, each: jax.Array) -> jax.Array:
+        """What components `(..., n)` have that count: what is no number has zeros in place of it where the weight is zero."""
+        return jnp.where(self.log_weights > -jnp.inf, each, 0)
 
     def cov(self) -> jax.Array:
         """Covariance within and between the components, `(x, x)`."""
         within = self.parts.covariance
-        inside = sums.weighted_sum(within, self.weights) if within.ndim == 3 else within
-        return inside + weighted_moments(self.log_weights, self.parts.center)[1]
+        inside = sums.weighted_sum(self._counted(within), self.weights) if within.ndim == 3 else within
+        return inside + weighted_moments(self.log_weights, self._counted(self.parts.center))[1]
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points, `(x, n)`."""
@@ -78,7 +82,7 @@ class Mixture(Law):
             cov = jnp.broadcast_to(cov[..., None], (*cov.shape, self.log_weights.shape[0]))
 
         def of_one(center: jax.Array, spread: jax.Array) -> jax.Array:
-            return log_normal(points - center[:, None], spread, ~jnp.isnan(points))
+            return log_normal(points - center[:, None], spread, ~jnp.isnan(points), jnp.abs(points))
 
         each = jax.vmap(of_one, in_axes=(-1, -1))(self.parts.center, cov)
         return jax.nn.logsumexp(each + self.log_weights[:, None], axis=0).reshape(shape)
@@ -97,7 +101,7 @@ class Mixture(Law):
         """Return the mixture with means on one branch of the states that are angles."""
         if not angles:
             return self
-        return replace(self, parts=Gaussian(gathered(self.parts.center, self.log_weights, angles), self.parts.covariance))
+        return replace(self, parts=Gaussian(gathered(self._counted(self.parts.center), self.log_weights, angles), self.parts.covariance))
 
     def inflated(self, factor: float) -> "Mixture":
         """Return the mixture with each component's covariance times a factor and the means spread to match."""

@@ -120,6 +120,9 @@ def regressed(sensor: AdditiveGaussian, states: Sequence[int], centers: jax.Arra
     # point by point: a look-up in a map that shares a loop with anything else is several times slower
     found = jnp.stack([sensor.means(X, u, t) for X in points], axis=1)
     middle, (above, below) = found[:, 0], jnp.split(sensor.residual(found[:, 1:], found[:, :1]), 2, axis=1)
+    # one point beyond the edge of what is known (a void in a map) goes on as the other side does; both make it flat
+    sides = (above, below), (below, above)
+    above, below = (jnp.where(jnp.isnan(one), jnp.where(jnp.isnan(other), 0, -other), one) for one, other in sides)
     even, odd = (above + below) / (2 * step), (above - below) / (2 * step)
     bend = sum((even[:, j] for j in range(len(states))), jnp.zeros_like(middle)) / step
     # weighted mean of squares less square of the mean; what the slope explains, the odd parts, has dropped out of the difference

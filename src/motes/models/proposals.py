@@ -16,7 +16,7 @@ import numpy as np
 from motes.core import checks, linalg, random
 from motes.core.record import record
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over, over_particles
-from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak
+from motes.laws.gaussian import Gaussian, among, log_normal, log_normal_peak, noiseless
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 from motes.models.structure import trace
@@ -97,6 +97,7 @@ class Local(NamedTuple):
         tilt: slope in v, `(y, x, *n)`.
         noise: covariance of e, `(y, y, *n)`.
         seen: components of y that count, `(y,)`.
+        size: how large the numbers are whose difference the innovation is, `(y,)`.
     """
 
     center: jax.Array
@@ -105,11 +106,13 @@ class Local(NamedTuple):
     tilt: jax.Array
     noise: jax.Array
     seen: jax.Array
+    size: jax.Array
 
     def evidence(self) -> tuple[jax.Array, jax.Array]:
         """Log density of y before v is known, and the same for a perfect prediction, `(n,)`."""
         cov = linalg.add(linalg.product_transposed(self.tilt, self.tilt), self.noise)
-        return log_normal(self.innovation, cov, self.seen), log_normal_peak(self.innovation, cov, self.seen)
+        density = log_normal(self.innovation, cov, self.seen, self.size, noiseless(among(self.noise, self.seen)))
+        return density, log_normal_peak(self.innovation, cov, self.seen)
 
     def rest(self, v: jax.Array) -> jax.Array:
         """What v `(x, n)` leaves of the innovation, `(y, n)`."""
@@ -154,7 +157,7 @@ class LocalProposal(Proposal):
         local = self.about(model, X, y, u, t)
         v = local.drawn(key)
         moved = local.moved(v)
-        ratio = local.evidence()[0] - log_normal(local.rest(v), local.noise, local.seen)
+        ratio = local.evidence()[0] - log_normal(local.rest(v), local.noise, local.seen, local.size)
         ceiling = model.sensor.ceiling(y, moved, u, t) + 0.5 * jnp.sum(v**2, axis=0) + ratio
         return Proposed(moved, model.sensor.log_prob(y, moved, u, t) + ratio, ceiling)
 
@@ -222,7 +225,7 @@ class UnscentedProposal(LocalProposal):
         center, spread = _step(model, X, u, t)
         plane = linearize.regressed(sensor, range(X.shape[0]), center, spread, u, t)
         noise = linalg.add(plane.unexplained, matrix_over(sensor.Q, center, u, t))
-        return Local(center, spread, sensor.residual(y, plane.prediction), plane.tilt, noise, seen)
+        return Local(center, spread, sensor.residual(y, plane.prediction), plane.tilt, noise, seen, jnp.abs(y))
 
 
 def as_proposal(argument: str, value: Any) -> Proposal:
@@ -260,7 +263,7 @@ def _by_slope(model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any
     center, spread = _step(model, X, u, t)
     slope = matrix_over(lambda x, u, t: linearize.affine(sensor, x, u, t)[1], center, u, t)
     innovation = sensor.residual(y, sensor.means(center, u, t))
-    return Local(center, spread, innovation, linalg.product(slope, spread), matrix_over(sensor.Q, center, u, t), seen)
+    return Local(center, spread, innovation, linalg.product(slope, spread), matrix_over(sensor.Q, center, u, t), seen, jnp.abs(y))
 
 
 def _not_linear(model: StateSpaceModel, u: Any) -> str:

@@ -91,7 +91,7 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
     @jitted
     def advance(key: jax.Array, b: jax.Array, particles: jax.Array, values: jax.Array) -> Any:
         values = jnp.where(jnp.isnan(values), -jnp.inf, values)
-        db = _step(values, b, how.ess * n)
+        db = _step(values, b, how.ess)
         weights, gain = logspace.normalize(db * values + logspace.uniform_weights(n, values.dtype))
         ancestors = how.scheme.ancestors(random.child(key, random.RESAMPLE), weights, n)
         kernel = shaped(how.kernel, weights, particles)
@@ -111,20 +111,26 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
     checks.refuse("temper log_likelihood", f"one that {MOST_STEPS} steps lead to", given, "Use more particles.")
 
 
-def _step(values: jax.Array, b: jax.Array, wanted: float) -> jax.Array:
-    """Largest step of the exponent that keeps the effective size, by bisection."""
+def _step(values: jax.Array, b: jax.Array, share: float) -> jax.Array:
+    """Largest step of the exponent that keeps the effective size of the particles with a likelihood, by bisection of its logarithm.
+
+    Likelihoods may differ by any number of nats: the step is looked for at every scale, not in equal parts of what is left.
+    """
+    counted = jnp.isfinite(values)
+    wanted = share * jnp.sum(counted)
+    known = jnp.where(counted, values - jnp.max(jnp.where(counted, values, -jnp.inf)), -jnp.inf)
 
     def size(db: jax.Array) -> jax.Array:
-        return logspace.effective_size(logspace.normalize(db * jnp.where(jnp.isfinite(values), values, -1e30))[0])
+        return logspace.effective_size(logspace.normalize(jnp.where(counted, db * jnp.where(counted, known, 0), -jnp.inf))[0])
 
     def halve(_: Any, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         middle = (ends[0] + ends[1]) / 2
-        keeps = size(middle) >= wanted
+        keeps = size(jnp.exp(middle)) >= wanted
         return jnp.where(keeps, middle, ends[0]), jnp.where(keeps, ends[1], middle)
 
-    low, high = jax.lax.fori_loop(0, HALVINGS, halve, (jnp.zeros_like(b), 1 - b))
-    # where even the least step loses particles, as many have no likelihood at all, some step must be made
-    return jnp.where(size(1 - b) >= wanted, 1 - b, jnp.where(low > 0, low, high))
+    top = jnp.log(1 - b)
+    low, _ = jax.lax.fori_loop(0, HALVINGS, halve, (jnp.log(jnp.finfo(values.dtype).tiny), top))
+    return jnp.where(size(1 - b) >= wanted, 1 - b, jnp.exp(low))
 
 
 def shaped(kernel: Kernel, log_weights: jax.Array, particles: jax.Array) -> Any:

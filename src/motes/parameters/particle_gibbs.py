@@ -20,6 +20,7 @@ from motes.mcmc.interface import LogDensity, Position
 from motes.models.state_space import at_step
 from motes.parameters.paths import DrawsPaths, PathPosterior
 from motes.resampling.schemes import Multinomial, Scheme
+from motes.smoothers.parents import Move
 
 
 @record
@@ -60,8 +61,9 @@ class ParticleGibbs(DrawsPaths):
             X, log_weights = held
             step, u = random.step_key(key, t), at_step(inputs, t)
             toward = jnp.broadcast_to(old[t][:, None], X.shape)
-            linked = logspace.normalize(log_weights + model.dynamics.log_prob(toward, X, u, t))[0]
-            parent = draw(random.child(step, random.INITIAL), linked, 1)[0]
+            linked, any_leads = logspace.normalize(log_weights + Move(model.dynamics, u, t).among(X, toward).log_prob(toward, X))
+            # without noise in some direction no other particle leads to the path: it keeps its own past
+            parent = jnp.where(jnp.isfinite(any_leads), draw(random.child(step, random.INITIAL), linked, 1)[0], 0)
             ancestors = self.scheme.conditional_ancestors(random.child(step, random.RESAMPLE), log_weights, parent)
             moved = model.dynamics.sample(random.child(step, random.PREDICT), X[:, ancestors], u, t).at[:, 0].set(old[t])
             return (moved, weighed(moved, t)), (moved, ancestors)

@@ -13,6 +13,7 @@ from motes.filters.needs import as_state_space
 from motes.mcmc.interface import Info, Kernel, Position, State
 from motes.models.state_space import StateSpaceModel, at_step, driven
 from motes.parameters.posterior import Parametric
+from motes.smoothers.parents import Move
 
 
 @record
@@ -33,7 +34,7 @@ class PathPosterior(Parametric):
         model, inputs = self.at(theta)
 
         def moved(t: jax.Array) -> jax.Array:
-            return model.dynamics.log_prob(path[t][:, None], path[t - 1][:, None], at_step(inputs, t), t)[0]
+            return Move(model.dynamics, at_step(inputs, t), t).among(path.T).log_prob(path[t][:, None], path[t - 1][:, None])[0]
 
         def measured(t: jax.Array) -> jax.Array:
             return self.log_likelihood(model, path[t][:, None], at_step(inputs, t), t)[0]

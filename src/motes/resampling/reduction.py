@@ -34,7 +34,7 @@ def reduced(key: jax.Array, log_weights: jax.Array, n: int) -> Reduction:
         log_weights: normalized log weights, n or more of them.
         n: number of places.
     """
-    log_threshold = _log_threshold(jnp.exp(log_weights), n)
+    log_threshold = _log_threshold(log_weights, n)
     certain = log_weights > log_threshold
     places = n - jnp.sum(certain, dtype=jnp.int32)
     light = logspace.normalize(jnp.where(certain, -jnp.inf, log_weights))[0]
@@ -49,11 +49,15 @@ def reduced(key: jax.Array, log_weights: jax.Array, n: int) -> Reduction:
     return Reduction(ancestors, jnp.where(jnp.arange(n) < filled[-1], after, -jnp.inf))
 
 
-def _log_threshold(weights: jax.Array, n: int) -> jax.Array:
-    """Return -log c; minus infinity where fewer than n have weight."""
-    ordered = jnp.flip(jnp.sort(weights))
-    tails = jnp.flip(jnp.cumsum(jnp.flip(ordered)))[:n]
+def _log_threshold(log_weights: jax.Array, n: int) -> jax.Array:
+    """Return -log c; minus infinity where fewer than n have weight.
+
+    In logs throughout: weights that underflow beside the largest would leave no order among those that fill the last places.
+    """
+    nothing = float(jnp.finfo(log_weights.dtype).min) / 4
+    ordered = jnp.flip(jnp.sort(jnp.where(log_weights > nothing, log_weights, nothing)))
+    tails = jnp.flip(jax.lax.cumlogsumexp(jnp.flip(ordered)))[:n]
     left = n - jnp.arange(n)
-    first = jnp.argmax(left * ordered[:n] <= tails)
-    mass = tails[first]
-    return jnp.where(mass > 0, jnp.log(jnp.where(mass > 0, mass, 1) / left[first]), -jnp.inf)
+    first = jnp.argmax(jnp.log(left.astype(ordered.dtype)) + ordered[:n] <= tails)
+    log_mass = tails[first]
+    return jnp.where(log_mass > nothing / 2, log_mass - jnp.log(left[first].astype(ordered.dtype)), -jnp.inf)

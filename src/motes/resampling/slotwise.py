@@ -41,7 +41,7 @@ class MetropolisResampling(Scheme):
     """A Metropolis chain over indices for each child, from its own place: no sum over all particles (Murray, Lee, Jacob 2016).
 
     Biased towards particles that were there: the law of a child's ancestor is within (1 - mean w / max w)^steps of the weights in total
-    variation. A likelihood estimate is not unbiased with it.
+    variation. A likelihood estimate is not unbiased with it. A chain that has met nothing with any weight is drawn by weight, sum or not.
 
     Attributes:
         steps: length of the chains.
@@ -63,7 +63,9 @@ class MetropolisResampling(Scheme):
             moves = (chance * weights[at] < weights[other]) | (weights[at] == 0)
             return jnp.where(moves, other, at)
 
-        return jax.lax.fori_loop(0, self.steps, advance, _starts(random.child(key, 1), weights, n))
+        at = jax.lax.fori_loop(0, self.steps, advance, _starts(random.child(key, 1), weights, n))
+        lost = weights[at] == 0
+        return jax.lax.cond(jnp.any(lost), lambda: jnp.where(lost, draw(random.child(key, 2), log_weights, n), at), lambda: at)
 
 
 @record

@@ -2,6 +2,9 @@
 
 A trajectory starts at a particle of the last cloud, drawn by weight. Going back, its state at t is a particle of the cloud at t, drawn with
 probability w_i p(x_{t+1} | x_i). Unlike a genealogy, it may change over to other ancestors at every step.
+
+Along directions without process noise a state is mapped, not drawn: only the true ancestor leads to it, and the trajectory follows the
+genealogy there.
 """
 
 from typing import Any
@@ -21,7 +24,7 @@ from motes.smoothers.parents import ExactParents, Move, Parents
 
 @record
 class BackwardSimulationSmoother(Smoother):
-    """Backward simulation; it works with clouds. Every state needs process noise, or no particle but the true ancestor fits.
+    """Backward simulation; it works with clouds. Without process noise in some direction it is no better than a genealogy.
 
     Attributes:
         n: number of trajectories.
@@ -30,6 +33,8 @@ class BackwardSimulationSmoother(Smoother):
 
     n: int = static()
     parents: Parents = ExactParents()
+    lost = ("states that the dynamics alone led to", "The filter moved them off what dynamics without noise in some direction allow "
+            "(a kernel, an ensemble): smooth a ParticleFilter's clouds.")  # fmt: skip
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -62,8 +67,9 @@ class BackwardSimulationSmoother(Smoother):
         def back(held: tuple[jax.Array, jax.Array], row: Any) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
             after, ancestors = held
             cloud, u, t = row
-            parents = self.parents.draw(random.step_key(key, t), cloud, Move(model.dynamics, u, t), after, ancestors)
-            return (cloud.particles[:, parents], cloud.ancestors[parents]), cloud.particles[:, parents]
+            parents, known = self.parents.draw(random.step_key(key, t), cloud, Move(model.dynamics, u, t), after, ancestors)
+            before = jnp.where(known, cloud.particles[:, parents], jnp.nan)
+            return (before, cloud.ancestors[parents]), before
 
         start = (last.particles[:, chosen], last.ancestors[chosen])
         rows = jax.tree.map(lambda leaf: leaf[:-1], clouds), *jax.tree.map(lambda leaf: leaf[1:], (steps.u, steps.t))

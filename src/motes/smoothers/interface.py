@@ -1,7 +1,7 @@
 """The contract of a smoother: a frozen record of its own knobs that turns a filtered history into laws given all measurements."""
 
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 
@@ -50,7 +50,13 @@ class Steps(NamedTuple):
 
 @record
 class Smoother(ABC):
-    """A smoother. Subclasses are records; `smooth` is pure and works under jit and vmap."""
+    """A smoother. Subclasses are records; `smooth` is pure and works under jit and vmap.
+
+    Attributes:
+        lost: where it gives means that are no numbers because it found nothing: what it looked for, and what to do instead.
+    """
+
+    lost: ClassVar[tuple[str, str] | None] = None
 
     def __post_init__(self) -> None:
         """Check the knobs.

@@ -17,6 +17,7 @@ from motes.core import checks, random, sums
 from motes.core.record import record, static
 from motes.filters.interface import Filter, Guide, Info
 from motes.filters.particle import ParticleFilter
+from motes.filters.sharp import ask_noise
 from motes.laws.cloud import Cloud
 from motes.laws.law import Law
 from motes.models.state_space import StateSpaceModel
@@ -121,6 +122,14 @@ class PaRIS(Filter):
         self.parents.check(model.dynamics)
         return model
 
+    def ask(self, model: Any, u: Any) -> None:
+        """Refuse a sensor without noise.
+
+        Raises:
+            MotesError: it has none in some component.
+        """
+        ask_noise(type(self).__name__, model)
+
     def init(self, key: jax.Array, model: StateSpaceModel) -> AdditiveCloud:
         """Draw n particles from the initial law; sums are zero."""
         cloud = self._filter.init(key, model)
@@ -135,9 +144,9 @@ class PaRIS(Filter):
         """Go to the next time t, take in its measurement, and add what the move brings."""
         cloud, info = self._filter.step(key, model, state.cloud, y, u, t)
         after, ancestors = (jnp.concatenate([leaf] * self.draws, axis=-1) for leaf in (cloud.particles, cloud.ancestors))
-        parents = self.parents.draw(random.child(key, random.MEASURE), state.cloud, Move(model.dynamics, u, t), after, ancestors)
+        parents, known = self.parents.draw(random.child(key, random.MEASURE), state.cloud, Move(model.dynamics, u, t), after, ancestors)
         added = jax.vmap(lambda x, z: self._added(x, z, u, t), in_axes=-1, out_axes=-1)(state.cloud.particles[:, parents], after)
-        sums = (state.sums[:, parents] + added).reshape(self.size, self.draws, self.n)
+        sums = jnp.where(known, state.sums[:, parents] + added, jnp.nan).reshape(self.size, self.draws, self.n)
         return AdditiveCloud(cloud, jnp.mean(sums, axis=1)), info
 
     def _added(self, before: jax.Array, after: jax.Array, u: Any, t: Any) -> jax.Array:

@@ -15,7 +15,7 @@ from motes.core.record import record, replace, static
 from motes.filters.history import History
 from motes.laws.circular import wrap
 from motes.laws.cloud import draw, pick
-from motes.laws.gaussian import Gaussian, log_normal
+from motes.laws.gaussian import Gaussian, log_normal, noiseless
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.models.split import SplitModel, split
 from motes.models.state_space import at_step
@@ -24,7 +24,9 @@ from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws
 
 @record
 class RaoBlackwellizedSmoother(Smoother):
-    """Rao-Blackwellized backward simulation; it works with marginal clouds. Every particle state needs process noise.
+    """Rao-Blackwellized backward simulation; it works with marginal clouds.
+
+    Along directions in which neither process noise nor the Gaussians leave anything open a trajectory follows the genealogy.
 
     Attributes:
         n: number of trajectories.
@@ -58,16 +60,16 @@ class RaoBlackwellizedSmoother(Smoother):
         opening = random.step_key(key, steps.t[-1])
         chosen = last.picked(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
 
-        def back(after: jax.Array, row: Any) -> tuple[jax.Array, tuple[jax.Array, MarginalCloud]]:
-            cloud, u, t, t_after = row
+        def back(held: tuple[jax.Array, jax.Array], row: Any) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, MarginalCloud]]:
+            (after, ancestors), (cloud, u, t, t_after) = held, row
             own = random.step_key(key, t)
-            chosen = self._informed(random.child(own, random.RESAMPLE), model, cloud, after, u, t_after)
+            chosen = self._informed(random.child(own, random.RESAMPLE), model, cloud, (after, ancestors), u, t_after)
             states = self._drawn(random.child(own, random.NOISE), chosen)
-            return states, (states, chosen)
+            return (states, cloud.ancestors[chosen.ancestors]), (states, chosen)
 
         start = self._drawn(random.child(opening, random.NOISE), chosen)
         rows = jax.tree.map(lambda leaf: leaf[:-1], clouds), jax.tree.map(lambda leaf: leaf[1:], steps.u), steps.t[:-1], steps.t[1:]
-        _, earlier = jax.lax.scan(back, start, rows, reverse=True)
+        _, earlier = jax.lax.scan(back, (start, last.ancestors[chosen.ancestors]), rows, reverse=True)
         full = replace(chosen, kalman=_each(chosen.kalman, self.n))
         paths, laws = jax.tree.map(lambda some, one: jnp.concatenate([some, one[None]]), earlier, (start, full))
         mean, cov = jax.vmap(lambda law: (law.mean(), law.cov()))(laws)
@@ -77,18 +79,25 @@ class RaoBlackwellizedSmoother(Smoother):
         """One draw of (x_p, x_k) for each particle."""
         return jnp.concatenate([cloud.particles, cloud.kalman.sample(key, self.n)])
 
-    def _informed(self, key: jax.Array, model: SplitModel, cloud: MarginalCloud, after: jax.Array, u: Any, t: Any) -> MarginalCloud:
-        """Draw a particle for each of the states `(x_p + x_k, m)` that follow, and condition its Gaussian on what follows."""
-        f, A, Q = _stacked(model, cloud.particles, u, t)
-        expected = cloud.kalman.through(A, f, Q)
+    def _informed(
+        self, key: jax.Array, model: SplitModel, cloud: MarginalCloud, held: tuple[jax.Array, jax.Array], u: Any, t: Any
+    ) -> MarginalCloud:
+        """Draw a particle for each of the states `(x_p + x_k, m)` that follow, and condition its Gaussian on what follows.
+
+        `held` are these states and the particle that each came from, which is taken where none has a density.
+        """
+        (after, _), (f, A, Q) = held, _stacked(model, cloud.particles, u, t)
+        expected, exact = cloud.kalman.through(A, f, Q), noiseless(Q)
         points = random.uniform(key, (self.n,), f.dtype)
+        size = jnp.maximum(jnp.max(jnp.abs(after), axis=1), jnp.max(jnp.abs(expected.center), axis=1))
 
-        def parent(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
-            state, point = pair
-            logits = cloud.log_weights + log_normal(wrap(state[:, None] - expected.center, model.places), expected.covariance)
-            return pick(jnp.exp(logspace.normalize(logits)[0]), point)
+        def parent(row: tuple[jax.Array, ...]) -> jax.Array:
+            state, ancestor, point = row
+            density = log_normal(wrap(state[:, None] - expected.center, model.places), expected.covariance, None, size, exact)
+            weights, total = logspace.normalize(cloud.log_weights + density)
+            return jnp.where(jnp.isfinite(total), pick(jnp.exp(weights), point), ancestor)
 
-        parents = pairs.against_all(parent, (after.T, points), cloud.log_weights.shape[0])
+        parents = pairs.against_all(parent, (after.T, *held[1:], points), cloud.log_weights.shape[0])
         chosen = cloud.picked(parents)
         f, A, Q, prediction = (leaf[..., parents] if batched else leaf for leaf, batched in (
             (f, True), (A, A.ndim == 3), (Q, Q.ndim == 3), (expected.center, True)))  # fmt: skip

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, random
 from motes.core.compiling import jitted
@@ -49,7 +50,19 @@ def smooth(
     known = canonical(model, jax.tree.map(one_of, inputs), history.last.y)
     # the label says with which knobs, and would make each filter compile anew
     found = _smooth(random.key_or_data(key), smoother, known, replace(history, label=""), ys, inputs, Beside((smoother, known)))
+    if smoother.lost is not None and checks.is_concrete(found.mean):
+        _ask_found(smoother, found.mean, history)
     return replace(found, names=history.names, label=repr(smoother))
+
+
+def _ask_found(smoother: Smoother, mean: jax.Array, history: History) -> None:
+    """Refuse means that are no numbers where the run's own are."""
+    assert smoother.lost is not None
+    own, (expected, hint) = history.kept.get("mean", history.info.log_evidence), smoother.lost
+    void = np.isnan(np.asarray(mean)).any(axis=1)
+    if void.any() and not np.isnan(np.asarray(own)).any():
+        step = int(history.start) + int(np.flatnonzero(void)[-1])
+        checks.refuse(f"{type(smoother).__name__} history", expected, f"none of them at step {step}", hint)
 
 
 @jitted

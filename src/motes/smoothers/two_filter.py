@@ -19,7 +19,8 @@ from motes.core.record import record, static
 from motes.filters.history import History
 from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud, weighted_moments
-from motes.laws.gaussian import Gaussian
+from motes.laws.conditional import AdditiveGaussian, matrix_over
+from motes.laws.gaussian import Gaussian, noiseless
 from motes.models.state_space import StateSpaceModel
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_backward_density, ask_laws
 from motes.smoothers.parents import Move
@@ -36,6 +37,8 @@ class TwoFilterSmoother(Smoother):
 
     n: int = static()
     inflation: float = 1.5
+    lost = ("dynamics with noise in every direction", "Without it points of the second filter lead to none of the next step: "
+            "use BackwardSimulationSmoother, or RauchTungStriebelSmoother for linear models.")  # fmt: skip
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -73,7 +76,7 @@ class TwoFilterSmoother(Smoother):
             (z, _, _), (z_after, log_g_after, step), seen = row
             move = Move(model.dynamics, step.u, step.t)
             ahead = _summed(lambda one: move.log_prob(z_after, jnp.broadcast_to(one[:, None], z_after.shape)), held - log_g_after, z)
-            weights = logspace.normalize(seen + ahead)[0]
+            weights = logspace.normalize(jnp.where(_filled(move, z), seen + ahead, jnp.nan))[0]
             return weights, weights
 
         last = logspace.normalize(likelihood[-1])[0]
@@ -87,6 +90,13 @@ class TwoFilterSmoother(Smoother):
         predicted = jnp.concatenate([model.initial_log_prob(points[0])[None], predicted])
         weights = jnp.concatenate([earlier, last[None]]) + predicted - log_g
         return Smoothed(*jax.vmap(lambda w, z: weighted_moments(logspace.normalize(w)[0], z))(weights, points))
+
+
+def _filled(move: Move, z: jax.Array) -> jax.Array | bool:
+    """Tell whether the dynamics have noise in every direction, from all of the points z `(x, n)`; where it is not known, yes."""
+    if not isinstance(move.dynamics, AdditiveGaussian):
+        return True
+    return ~jnp.any(noiseless(matrix_over(move.dynamics.Q, z, move.u, move.t)))
 
 
 def _taken_in(model: StateSpaceModel, z: jax.Array, row: Steps) -> jax.Array:
