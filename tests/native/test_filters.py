@@ -40,7 +40,7 @@ MODELS = {
         INITIAL, mo.LinearGaussian(A, Q),
         mo.AdditiveGaussian(bearing, lambda x, u, t: jnp.diag(jnp.array([100.0, 1e-4]) * (1 + x[0] ** 2 / 1e6)), angles=(1,)), NAMES),
     "outliers": mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q),
-                                   mo.AdditiveNoise(bearing, mo.StudentT(4.0, np.array([10.0, 0.01])), angles=(1,)), NAMES),
+                                   mo.AdditiveNoise(bearing, mo.StudentT(np.array([10.0, 0.01]), 4.0), angles=(1,)), NAMES),
     "measured and hidden": mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q), mo.LinearGaussian(np.eye(2, 6) + np.eye(2, 6, k=2),
                                                                                                   np.diag([9.0, 4.0])), NAMES),
 }  # fmt: skip

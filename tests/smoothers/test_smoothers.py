@@ -201,7 +201,7 @@ def test_bad_input_is_named():
     clouds = mo.run(0, PARTICLES, model, ys, keep=mo.keep.laws)
     gaussians = mo.run(0, mo.KalmanFilter(), model, ys)
     sampled = record.replace(model, dynamics=mo.Custom(sample=lambda key, x, u, t: x))
-    heavy = record.replace(model, dynamics=mo.AdditiveNoise(lambda x, u, t: x, mo.StudentT(4.0, [1.0, 1.0])))
+    heavy = record.replace(model, dynamics=mo.AdditiveNoise(lambda x, u, t: x, mo.StudentT([1.0, 1.0], 4.0)))
     for line, call in {
         "smooth smoother: expected a smoother": lambda: mo.smooth(0, mo.KalmanFilter(), model, gaussians),
         "smooth history: expected what mo.run gave": lambda: mo.smooth(0, mo.GenealogySmoother(), model, clouds.law),
