@@ -217,7 +217,7 @@ class Correction(NamedTuple, Generic[L]):
 
 def measured_in(y: jax.Array, R: jax.Array) -> jax.Array:
     """Tell which components of y `(y,)` were measured, `(y,)` or `(y, n)`: neither NaN nor with an infinite variance in R `(y, y, *n)`."""
-    finite = jnp.isfinite(jnp.stack([R[i, i] for i in range(R.shape[0])]))
+    finite = jnp.isfinite(linalg.diagonal_of(R))
     return finite & ~(jnp.isnan(y)[:, None] if finite.ndim == 2 else jnp.isnan(y))
 
 
@@ -244,8 +244,7 @@ def _terms(S: jax.Array, exact: jax.Array, H: jax.Array, P: jax.Array) -> jax.Ar
     spread = jnp.sqrt(jnp.maximum(linalg.diagonal_of(P), 0))
     terms = jnp.square(linalg.times_vector(jnp.abs(H), spread))
     own = linalg.diagonal_of(S)
-    if own.ndim > exact.ndim:
-        exact = exact[:, None]
+    exact = exact[:, None] if own.ndim > exact.ndim else exact
     return jnp.where(exact, terms if terms.ndim == own.ndim else terms[:, None], own)
 
 
