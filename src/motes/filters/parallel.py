@@ -18,7 +18,6 @@ from motes.core.types import Inputs
 from motes.filters import alarm, keep, notices, precision
 from motes.filters.history import Carry, History
 from motes.filters.interface import single
-from motes.filters.kalman import KalmanFilter
 from motes.filters.needs import as_linear_model
 from motes.filters.run import checked_data
 from motes.laws.gaussian import Gaussian, among, measured_in, zeroed
@@ -87,7 +86,7 @@ def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[His
     info = replace(info, alarm=rings)
     evidence = RunningSum(jnp.sum(done.log_evidence), jnp.zeros((), ys.dtype))
     last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, suspicion, ys[-1], at_step(inputs, -1), t[-1])
-    known = KalmanFilter().traits | {"rounding": precision.rounding(model, ys, at_step(told, 0)), "circular": model.circular}
+    known = {"weighs": False, "subtracts": True, "rounding": precision.rounding(model, ys, at_step(told, 0)), "circular": model.circular}
     history = History(jax.vmap(keep.moments)(laws), info, last, jnp.int32(0), model.names, "", **known)
     return history, jnp.append(False, exact)
 
