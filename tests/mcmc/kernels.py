@@ -37,7 +37,7 @@ def examples():
         "MultipleTry": mcmc.MultipleTry(by_range, 4),
         "MultipleTry, plain": mcmc.MultipleTry(lopsided, 3, weight="plain"),
         "MALA": mcmc.MALA(0.6),
-        "HMC": mcmc.HMC(0.3, leaps=4),
+        "HMC": mcmc.HMC(4, 0.3),
         "NUTS": mcmc.NUTS(0.5, doublings=3),
         "Adaptive": mcmc.Adaptive(walk, steps=1),
         "Cycle": mcmc.Cycle([mcmc.Block(0, mcmc.RandomWalkMetropolis(1.2)), mcmc.Block((1,), mcmc.RandomWalkMetropolis(0.4))]),

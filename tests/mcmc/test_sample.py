@@ -93,7 +93,7 @@ def test_a_chain_that_never_moves_is_told():
     assert "never accepted" in chains.diagnose()
 
 
-SEVERAL = [mcmc.RandomWalkMetropolis(1.0), mcmc.HMC(0.3), mcmc.NUTS(0.3), mcmc.MALA(0.5),
+SEVERAL = [mcmc.RandomWalkMetropolis(1.0), mcmc.HMC(scale=0.3), mcmc.NUTS(0.3), mcmc.MALA(0.5),
            mcmc.MultipleTry(mo.LinearGaussian(jnp.eye(2), jnp.eye(2)), 3)]  # fmt: skip
 
 

@@ -102,14 +102,16 @@ class HMC(GradientKernel):
 
     leaps: int = static(default=10)
 
-    def __post_init__(self) -> None:
+    def __init__(self, leaps: int = 10, scale: jax.Array | float = 0.1, factor: jax.Array | None = None):
         """Check the knobs.
 
         Raises:
             MotesError: the scale is not positive, or leaps no positive whole number.
         """
+        checks.positive_integer("HMC leaps", leaps)
+        for name, value in (("scale", scale), ("factor", factor), ("leaps", leaps)):
+            object.__setattr__(self, name, value)
         GradientKernel.__post_init__(self)
-        checks.positive_integer("HMC leaps", self.leaps)
 
     def target(self, size: int) -> float:
         """0.65 (Beskos et al. 2013), a little more to be safe: 0.75."""

@@ -186,7 +186,11 @@ def as_kernel(argument: str, value: Any) -> Kernel:
     Raises:
         MotesError: it is none.
     """
-    return checks.instance(argument, value, Kernel, "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)")
+    checks.instance(argument, value, Kernel, "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)")
+    if jax.tree_util.all_leaves([value]):
+        checks.refuse(argument, "a kernel that JAX knows as a tree", type(value).__name__,
+                      "Make it a frozen dataclass and register it by jax.tree_util.register_dataclass.")
+    return value
 
 
 def check_start(log_density: jax.Array) -> None:

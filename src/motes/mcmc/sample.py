@@ -17,7 +17,7 @@ from motes.core.settings import enforced, in_force
 from motes.core.types import KeyLike
 from motes.core.watchdog import watched
 from motes.core.workers import Workers
-from motes.mcmc import judgement
+from motes.mcmc import continuing, judgement
 from motes.mcmc.chains import Chains, joined
 from motes.mcmc.interface import Info, Kernel, LogDensity, State, as_kernel, check_start
 from motes.models.canonical import shape_of
@@ -48,7 +48,7 @@ def sample(
         kernel: what makes a step, such as `mcmc.Adaptive(mcmc.RandomWalkMetropolis())`.
         log_density: of a position, up to a constant; -inf where it cannot be.
         init: a position (tree of arrays) where all chains start; or a function of a key that draws one for each chain; or `Chains`, to
-            continue: with the same key the draws equal those of an uncut run, bit for bit.
+            continue: with the same key the draws equal those of an uncut run, bit for bit; another density than theirs is refused.
         draws: kept from each chain.
         chains: how many; as many as there were when continuing.
         burn_in: steps before the first draw; none when continuing.
@@ -111,7 +111,11 @@ def _drawn(
 
     def advance(states: State, begun: int, count: int) -> Any:
         with enforced(settings):
-            return jax.block_until_ready(_advance(key, kernel, target, states, jnp.int32(begun), count))
+            try:
+                return jax.block_until_ready(_advance(key, kernel, target, states, jnp.int32(begun), count))
+            except TypeError as reason:
+                continuing.explain(kernel, target.log_density, states, reason)
+                raise
 
     with watched("sample", lambda: f"{begun} of {total} steps", "; the draws so far are kept") as progressed, Workers(1) as worker:
         for count, keep in tracked(pieces, "sampling", None):
@@ -134,6 +138,11 @@ def _continued(kernel: Kernel, log_density: LogDensity, chains: Chains) -> tuple
         fits = False
     if not jax.tree.all(fits):
         checks.refuse("sample kernel", f"that of the chains, {chains.label[:200]}", f"{kernel!r}"[:200])
+    anew = [_begin(random.as_key(seed), kernel, target, chains.last.position).log_density for seed in range(2)]
+    estimated = hasattr(log_density, "estimate") or not np.array_equal(*anew, equal_nan=True)
+    if estimated:
+        anew += [_begin(random.as_key(seed), kernel, target, chains.last.position).log_density for seed in range(2, 8)]
+    continuing.check_same(chains.last.log_density, anew, estimated)
     return target, chains.last, int(chains.steps)
 
 
