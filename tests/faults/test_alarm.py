@@ -37,7 +37,9 @@ def growth():
 
 
 def filters():
-    return {name: filter for name, filter in discovery.examples().items() if not name.startswith(SILENT) and "SIS" not in name}
+    found = {name: filter for name, filter in discovery.examples().items() if not name.startswith(SILENT) and "SIS" not in name}
+    # its grid of that name is too coarse for states known to a tenth
+    return found | {"PointMassFilter": mo.PointMassFilter(lower=(-0.6, -0.5), upper=(0.6, 0.5), nodes=(25, 21))}
 
 
 TRUE, FALSE = system(), system(claimed=0.25)
@@ -58,6 +60,7 @@ def test_every_filter_has_the_alarm(name):
     assert "alarm" in mo.diagnose(wrong) and "alarm" not in mo.diagnose(right)
 
 
+@pytest.mark.optimized
 @pytest.mark.parametrize("filter", [mo.KalmanFilter(), mo.ParticleFilter(n=300)], ids=["kalman", "particle"])
 def test_stream_and_cuts_ring_alike(filter, tmp_path):
     with warnings.catch_warnings():
