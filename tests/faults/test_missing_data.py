@@ -160,7 +160,7 @@ def driven():
 UNKNOWN = {
     "NaN": np.where(np.arange(STEPS) == 4, np.nan, 1.0),
     "of JAX": jnp.where(jnp.arange(STEPS) == 4, jnp.nan, 1.0),
-    "infinite": np.where(np.arange(STEPS) == 4, np.inf, 1.0),
+    "infinite": np.where(np.arange(STEPS) == 4, -np.inf, 1.0),
     "too large": np.where(np.arange(STEPS) == 4, 1e39, 1.0),
     "masked": np.ma.array(np.ones(STEPS), mask=np.arange(STEPS) == 4),
     "pandas": pd.Series(pd.array([1, 1, 1, 1, None, 1], dtype="Int64")),
@@ -182,7 +182,7 @@ def test_unknown_inputs_are_refused_with_their_row(form):
         lambda: mo.Pilot(inputs=inputs),
     ]
     for attempt in attempts:
-        with pytest.raises(mo.MotesError, match=r"nputs\['v'\]: expected finite numbers, got (nan|inf|1e\+39) in row 4\. Only"):
+        with pytest.raises(mo.MotesError, match=r"nputs\['v'\]: expected finite numbers, got (nan|-inf|1e\+39) in row 4\. Only"):
             attempt()
 
 

@@ -258,7 +258,7 @@ def checked_inputs(inputs: Inputs, steps: int, like: str, argument: str = "input
 
 
 def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
-    """Return a tree of inputs with an array of finite numbers in each place.
+    """Return a tree of inputs with an array of numbers in each place; infinity is one (a variance that tells nothing), NaN is none.
 
     Args:
         argument: name to use in the message.
@@ -266,7 +266,8 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
         rows: whether the time axis is first.
 
     Raises:
-        MotesError: something is no number, or NaN, missing or infinite, as far as it is known; the message names place and row.
+        MotesError: something is no number, or NaN, missing, minus infinity or too large for its type, as far as it is known; the message
+            names place and row.
     """
 
     def one(path: Any, leaf: Any) -> Any:
@@ -274,7 +275,8 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
         if isinstance(leaf, jax.Array) and not (checks.is_concrete(leaf) and jnp.issubdtype(leaf.dtype, jnp.floating)):
             return leaf
         array = leaf if isinstance(leaf, (bool, int, float)) else checks.as_numbers(name, leaf)
-        wrong = checks.unknown(array)
+        # an infinite variance says that nothing was measured
+        wrong = checks.unknown(np.where(np.isposinf(array), 0, array) if jnp.issubdtype(np.asarray(array).dtype, jnp.floating) else array)
         if wrong is not None:
             place = f" in row {wrong[0]}" if rows and len(wrong) else ""
             hint = "Only measurements may be missing: fill it, or say by one more input where it holds."
