@@ -73,7 +73,8 @@ def unbounded(terrain):
 
 def test_recorded_flight_that_leaves_the_map(tmp_path, terrain, leaving):
     inputs = leaving.inputs
-    columns = np.stack([leaving.seconds, inputs.north, inputs.east, inputs.altitude, np.full(80, 500.0)], axis=1)
+    height = inputs.altitude - float(np.nanmean(np.asarray(terrain.heights)))
+    columns = np.stack([leaving.seconds, inputs.north, inputs.east, inputs.altitude, height], axis=1)
     np.savetxt(tmp_path / "flight.csv", columns, delimiter=",", header="time,ins_north,ins_east,ins_altitude,height", comments="")
     files = MapFiles(files=(str(scenario.jacksboro_file()),), outside="missing")
     loaded = scenario.load(files, Recording(file=str(tmp_path / "flight.csv")))

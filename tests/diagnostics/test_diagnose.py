@@ -18,9 +18,9 @@ def model(q=1.0, r=0.5):
 XS, YS = (np.array(part) for part in mo.simulate(6, model(), 120))
 HEALTHY = {
     "Kalman": mo.KalmanFilter(),
-    "particles": mo.ParticleFilter(n=1000),
-    "marginalized": mo.MarginalizedParticleFilter(n=300, linear=("speed",)),
-    "Gaussian particles": mo.GaussianParticleFilter(n=1000),
+    "particles": mo.ParticleFilter(n=5000),
+    "marginalized": mo.MarginalizedParticleFilter(n=3000, linear=("speed",)),
+    "Gaussian particles": mo.GaussianParticleFilter(n=5000),
 }
 
 

@@ -53,7 +53,7 @@ def test_every_filter_has_the_alarm(name):
     right = mo.run(0, filter, TRUE, YS)
     assert not right.info.alarm.any()
     assert abs(float(jnp.sum(right.info.surprise) / jnp.sum(right.info.freedom)) - 1) < 0.4
-    with pytest.warns(mo.MotesWarning, match="alarm at"):
+    with pytest.warns(mo.MotesWarning, match="alarm"):
         wrong = mo.run(0, filter, FALSE, YS)
     first = [int(np.argmax(np.asarray(h.info.alarm))) for h in (wrong, mo.run(0, mo.KalmanFilter(), FALSE, YS))]
     assert 0 < first[0] <= first[1] + 15
@@ -126,7 +126,7 @@ def test_false_alarms(name):
 def test_the_cumulative_sum_of_all_steps_at_once():
     history = mo.run_in_parallel(TRUE, YS)
     assert not history.info.alarm.any()
-    with pytest.warns(mo.MotesWarning, match="alarm at"):
+    with pytest.warns(mo.MotesWarning, match="alarm"):
         wrong = mo.run_in_parallel(FALSE, YS)
     with pytest.warns(mo.MotesWarning):
         scanned = mo.run(0, mo.KalmanFilter(), FALSE, YS)
@@ -145,7 +145,7 @@ def test_other_noises_and_densities():
     _, ys = mo.simulate(0, model(1.0), 300)
     filter = mo.ParticleFilter(n=1000)
     assert not mo.run(0, filter, model(1.0), ys).info.alarm.any()
-    with pytest.warns(mo.MotesWarning, match="alarm at"):
+    with pytest.warns(mo.MotesWarning, match="alarm"):
         mo.run(0, filter, model(0.2), ys)
     density = mo.Custom(log_prob=lambda y, x, u, t: -0.5 * jnp.sum((y - x) ** 2))
     alone = mo.StateSpaceModel(mo.Gaussian([0.0], [[0.1]]), mo.LinearGaussian([[0.9]], [[0.01]]), density)

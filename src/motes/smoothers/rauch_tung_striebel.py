@@ -12,7 +12,7 @@ algorithms): one triangle gives the gain and what it leaves,
     [F U, Q^1/2; U, 0] = [X, 0; Y, D] (orthogonal),   G = Y X^-1,   cov = D D' + (G C') (G C')'
 
 so that a predicted covariance that is singular, or nearly so, costs few digits. A direction in which X has no length is one that the
-prediction knows already, and is left alone. So is one in which X^-1 C' differs from 1 by no more than the rounding of the filtered
+prediction knows already, and is left alone. So is one in which X^-1 C' is below 1 by no more than the rounding of the filtered
 covariance: what it says there of the future is noise, and backward over many steps such factors multiply up.
 """
 
@@ -31,7 +31,7 @@ from motes.models import linearize, sigma_points
 from motes.models.state_space import StateSpaceModel, at_step
 from motes.smoothers.interface import Smoothed, Smoother, Steps
 
-_ROUNDING = 8.0
+_ROUNDING = 4.0
 
 
 @record
@@ -86,7 +86,7 @@ class RauchTungStriebelSmoother(Smoother):
             # what a filter subtracts from the predicted covariance is rounded to its size; a factor is rounded to its own
             rounding = jnp.diag(filtered) if factored else size_of
             pivot = jnp.diag(predicted)
-            silent = jnp.abs(jnp.sum(ratio**2, axis=1) - 1) * pivot**2 <= _ROUNDING * eps * rounding
+            silent = (1 - jnp.sum(ratio**2, axis=1)) * pivot**2 <= _ROUNDING * eps * rounding
             pull = jnp.where(silent & (pivot**2 <= eps * size_of), 0, pull)
             told = linalg.product(across, jnp.where(silent[:, None], 0, ratio))
             spread = jnp.concatenate([told, jnp.where(silent, across, 0)], axis=1)
