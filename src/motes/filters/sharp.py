@@ -49,10 +49,11 @@ def ask_full_noise(asked_by: str, model: Any) -> None:
     """
     dynamics = getattr(model, "dynamics", None)
     cov = _known(dynamics) if isinstance(dynamics, Conditional) else None
-    dead = [] if cov is None else _dead(np.asarray(cov, np.float64), float(jnp.finfo(cov.dtype).eps))
-    if cov is not None and 0 < len(dead) < len(cov):
-        checks.refuse(f"{asked_by} dynamics", "noise in every direction (or in none, and no motion)",
-                      f"none of its own in {model.names[dead[0]]}", "Use a ParticleFilter, or a Kalman filter where the model is linear.")
+    for dead in [] if cov is None else _dead_of(cov):
+        if 0 < len(dead) < model.size:
+            hint = "Use a ParticleFilter, or a Kalman filter where the model is linear."
+            checks.refuse(f"{asked_by} dynamics", "noise in every direction (or in none, and no motion)",
+                          f"none of its own in {model.names[dead[0]]}", hint)
 
 
 def _known(part: Conditional) -> jax.Array | None:
@@ -68,11 +69,13 @@ def _without(sensor: Conditional) -> int | None:
     if isinstance(sensor, SwitchingSensor):
         return next((found for found in map(_without, sensor.parts) if found is not None), None)
     cov = _known(sensor)
-    if cov is None:
-        return None
+    return None if cov is None else min((j for dead in _dead_of(cov) for j in dead), default=None)
+
+
+def _dead_of(cov: jax.Array) -> list[list[int]]:
+    """Return what `_dead` finds in one known covariance, or in each of n `(z, z, n)`."""
     matrices = np.asarray(cov, np.float64).reshape(*cov.shape[:2], -1)
-    dead = [j for each in np.moveaxis(matrices, -1, 0) for j in _dead(each, float(jnp.finfo(cov.dtype).eps))]
-    return min(dead, default=None)
+    return [_dead(each, float(jnp.finfo(cov.dtype).eps)) for each in np.moveaxis(matrices, -1, 0)]
 
 
 def _dead(cov: np.ndarray, eps: float) -> list[int]:
