@@ -33,7 +33,7 @@ def test_numpy_file_brings_everything_back(history, tmp_path):
     again = mo.History.load(history.save(tmp_path / "run.npz"))
     assert np.array_equal(again.mean, history.mean) and np.array_equal(again.ess, history.ess)
     assert float(again.log_likelihood) == float(history.log_likelihood) and again.names == ("a", "b")
-    assert np.array_equal(again.law["kalman"]["center"], history.law.kalman.center)
+    assert np.array_equal(again.law.kalman.center, history.law.kalman.center)
 
 
 def test_other_endings_and_folders_are_refused(history, tmp_path):

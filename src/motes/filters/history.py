@@ -1,6 +1,7 @@
 """The record of a run."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from motes.core.logspace import RunningSum
 from motes.core.record import record, replace, static
 from motes.filters.interface import Info
 from motes.io import archive
+from motes.laws.spelled import UnspelledError, restored, spelled
 
 _TRAITS = ("has_evidence", "weighs", "subtracts", "particles", "engine")
 """What a file says of the filter beside its name; files of version 0.1 have not all of it."""
@@ -186,30 +188,78 @@ class History:
             return archive.write_dataset(path, self.to_xarray())
         if path.suffix == ".npz":
             texts = {"names": list(self.names), "filter": self.label, "circular": list(self.circular)}
-            texts |= {name: getattr(self, name) for name in _TRAITS}
+            texts |= {name: getattr(self, name) for name in _TRAITS} | {"forms": self._forms()}
             return archive.write_tree(path, self._data(), texts, kind="history")
         checks.refuse(str(path), "a name that ends in .nc or .npz", path.suffix or "no ending", error=checks.FileError)
 
     def _data(self) -> dict[str, Any]:
         return {"kept": self.kept, "info": self.info, "last": self.last, "start": self.start, "rounding": self.rounding}
 
+    def _forms(self) -> dict[str, Any]:
+        """Return the forms of what can be anything; a law of the user's has none."""
+        found: dict[str, Any] = {}
+        for name, value in (("kept", self.kept), ("state", self.last.state)):
+            try:
+                found[name] = spelled(value)
+            except UnspelledError:
+                continue
+        return found
+
     @classmethod
     def load(cls, path: str | Path) -> "History":
-        """Read back a `.npz` file; laws and the last state come back as plain dictionaries of arrays.
+        """Read back a `.npz` file: it can be continued, smoothed and diagnosed as the history that was saved.
+
+        Laws of a kind of the user's own, and those in files of version 0.1, come back as dictionaries of arrays, with a warning: such a
+        history can be continued, but not smoothed.
 
         Raises:
             FileError: the file is no history, or is damaged.
         """
-        tree, texts = archive.read_tree(Path(path), kind="history")
+        path = Path(path)
+        tree, texts = archive.read_tree(path, "history", lambda forms, texts: _check_forms(path, forms, texts))
+        mean = tree.get("kept", {}).get("mean", np.zeros(()))
+        if not isinstance(mean, dict) and not np.isfinite(mean).all():
+            checks.refuse(f"{path}: kept/mean", "finite numbers", "NaN or infinite ones", "Restore it from a copy.", checks.FileError)
         info = _recorded(tree["info"])
         last = dict(tree["last"])
         evidence = RunningSum(**{name: jnp.asarray(value) for name, value in last.pop("evidence").items()})
         suspicion = jnp.asarray(last.get("suspicion", 0.0), last["y"].dtype)
-        carry = Carry(last.get("state"), evidence, suspicion, last["y"], last.get("u"), last["step"])
+        forms = texts.get("forms", {})
+        try:
+            kept = restored(forms["kept"], tree.get("kept", {})) if "kept" in forms else tree.get("kept", {})
+            state = restored(forms["state"], last.get("state")) if "state" in forms else last.get("state")
+        except UnspelledError as reason:
+            checks.refuse(f"{path}: forms", "those of its arrays", str(reason)[:200], "Restore it from a copy.", checks.FileError)
+        if isinstance(state, dict) or isinstance(kept.get("law"), dict):
+            checks.warn(f"{path}: its laws are of a kind that files of this version do not name; they come back as dictionaries of arrays. "
+                        "The history can be continued, but not smoothed, and diagnose sees no weights.")
+        carry = Carry(state, evidence, suspicion, jnp.asarray(last["y"]), last.get("u"), jnp.asarray(last["step"]))
         traits = {name: texts[name] for name in _TRAITS if name in texts}
-        rest = (tree["start"], tuple(texts["names"]), texts["filter"])
+        rest = (jnp.asarray(tree["start"]), tuple(texts["names"]), texts["filter"])
         traits |= {"circular": tuple(texts.get("circular", ())), "rounding": tree.get("rounding")}
-        return cls(tree.get("kept", {}), info, carry, *rest, **traits)
+        return cls(kept, info, carry, *rest, **traits)
+
+
+def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> None:
+    """Refuse a file whose arrays cannot be those of a history, before they are read."""
+    names = texts.get("names")
+    named = isinstance(names, list) and all(isinstance(name, str) for name in names) and isinstance(texts.get("filter"), str)
+    if not isinstance(names, list) or not named or not isinstance(texts.get("forms", {}), dict):
+        checks.refuse(f"{path}: texts", "names of states and of a filter", "others", "Restore it from a copy.", checks.FileError)
+    kinds = {"collapsed": "b", "alarm": "b", "invalid": "iu", "gated": "iu", "freedom": "iuf"}
+    archive.agree(path, forms, {"info/log_evidence": ((None,), "f"), "start": ((), "iu"), "last/step": ((), "iu"), "last/y": ((None,), "f"),
+                                "last/evidence/total": ((), "f"), "last/evidence/missed": ((), "f")})  # fmt: skip
+    steps, x = forms["info"]["log_evidence"].shape[0], len(names)
+    there = {field.name for field in fields(Info)} & set(forms["info"]) | {"ess", "collapsed", "invalid", "lowest", "highest", "gap"}
+    archive.agree(path, forms, {f"info/{name}": ((steps,), kinds.get(name, "f")) for name in there})
+    if set(forms["info"]) - there:
+        checks.refuse(f"{path}: info", "known records of steps", sorted(set(forms["info"]) - there)[0], "Read it with a newer motes.",
+                      checks.FileError)
+    kept = forms.get("kept", {})
+    known = {"mean": (steps, x), "cov": (steps, x, x), "mode_probabilities": (steps, None)}
+    archive.agree(path, forms, {f"kept/{name}": (shape, "f") for name, shape in known.items() if isinstance(kept, dict) and name in kept})
+    if isinstance(kept, dict) and isinstance(kept.get("law"), dict):
+        archive.repeats(path, forms, "kept/law", (steps,), "last/state", ())
 
 
 def _recorded(fields: dict[str, Any]) -> Info:

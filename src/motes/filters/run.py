@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,6 +19,7 @@ from motes.filters import keep as keeping
 from motes.filters.history import Carry, History
 from motes.filters.interface import Filter, Info
 from motes.filters.needs import as_state_space
+from motes.io import archive
 from motes.laws.conditional import Conditional
 from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.jump_markov import JumpMarkovModel, modes_of
@@ -63,8 +65,8 @@ def run(
     ys, inputs = checked_data(model, ys, inputs)
     if isinstance(key, jax.Array) and key.ndim and after is None:
         checks.shape("run key", key, (np.shape(ys)[0],), "(one for each step)")
-    first = None if after is None else after.last
     u = jax.tree.map(one_of, inputs)
+    first = None if after is None else _end_of(after, filter, model, u, one_of(ys))
     filter.ask(model, u)
     # functions that are equal for inputs of one shape need not be so for those that a run before had
     alike = first is None or jax.tree.map(shape_of, first.u) == u
@@ -72,13 +74,40 @@ def run(
     if not checks.is_concrete((known, ys, inputs)) and filter.loses_derivatives:
         # what is compiled is traced, and tells of a derivative, but once
         known, ys, inputs = gradients.noticed((known, ys, inputs))
+    try:
+        found = _run(key, *known, ys, inputs, (keep, Beside((*known, keep))), first)
+    except Exception:
+        if first is not None:
+            _check_end(first, filter, model, u, one_of(ys))
+        raise
     # outside of jit the knobs print as numbers
-    history = replace(_run(key, *known, ys, inputs, (keep, Beside((*known, keep))), first), label=repr(filter))
+    history = replace(found, label=repr(filter))
     if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
     if checks.is_concrete(history.info):
         notices.warn(history, after)
     return history
+
+
+def _end_of(after: History, filter: Filter, model: Any, u: Inputs, y: Any) -> Carry:
+    """Return what to continue from; inputs and laws that a file gave without their classes get them."""
+    checks.instance("run after", after, History, "what mo.run gave, or History.load")
+    end, wanted = after.last, jax.tree.structure(u)
+    if jax.tree.structure(end.u) != wanted and isinstance(end.u, dict) and not jax.tree_util.treedef_is_leaf(wanted):
+        end = replace(end, u=archive.fill(Path("run after: inputs"), u, end.u))
+    if isinstance(end.state, dict):
+        like = jax.eval_shape(lambda u, y: Engine(random.as_key(0), filter, model).initial(u, y), u, y).state
+        end = replace(end, state=archive.fill(Path("run after: state"), like, end.state))
+    return end
+
+
+def _check_end(end: Carry, filter: Filter, model: Any, u: Inputs, y: Any) -> None:
+    """Refuse to continue from a run of another filter or model, or with other inputs."""
+    like = jax.eval_shape(lambda u, y: Engine(random.as_key(0), filter, model).initial(u, y), u, y)
+    for name in ("state", "y", "u"):
+        one, other = (jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", getattr(carry, name)) for carry in (like, end))
+        if jax.tree.structure(one) != jax.tree.structure(other) or one != other:
+            checks.refuse("run after", f"the history of a run with the same filter and model, its {name} {one}"[:250], f"{other}"[:150])
 
 
 def run_in_chunks(

@@ -219,19 +219,32 @@ class Stream:
         Raises:
             FileError: the file is damaged, no checkpoint, or of another filter or model; the message names the difference.
         """
-        tree, texts = archive.read_tree(Path(path), kind="checkpoint")
-        for name, own in (("filter", repr(filter)), ("names", list(model.names))):
-            if texts[name] != own:
-                hint = "Give the filter and model it was saved with."
-                checks.refuse(f"{path}: {name}", str(own), str(texts[name]), hint, checks.FileError)
+        path = Path(path)
+
+        def like(carry: dict[str, Any]) -> Carry:
+            u = jax.tree.map(_shape, carry.get("u")) if inputs is None else numbers_of("stream inputs", inputs)
+            y = jax.ShapeDtypeStruct(carry["y"].shape, model.dtype)
+            return jax.eval_shape(lambda u, y: Engine(random.as_key(0), filter, model).initial(u, y), u, y)
+
+        def check(forms: dict[str, Any], texts: dict[str, Any]) -> None:
+            for name, own in (("filter", repr(filter)), ("names", list(model.names))):
+                if texts.get(name) != own:
+                    hint = "Give the filter and model it was saved with."
+                    checks.refuse(f"{path}: {name}", str(own), str(texts.get(name)), hint, checks.FileError)
+            archive.agree(path, forms, {"key": ((2,), "iu"), "carry/y": ((None,), "f")})
+            archive.fit(path, like(forms["carry"]), forms["carry"])
+
+        tree, texts = archive.read_tree(path, "checkpoint", check)
         stream = cls(jax.random.wrap_key_data(jnp.asarray(tree["key"], jnp.uint32)), filter, model)
-        y = jnp.asarray(tree["carry"]["y"], model.dtype)
-        u = tree["carry"].get("u") if inputs is None else inputs
-        like = jax.eval_shape(lambda *parts: Engine(*parts[:3]).initial(*parts[3:]), stream.key, filter, model, u, y)
-        stream._carry = archive.fill(Path(path), like, tree["carry"])
-        stream._fit(u, y)
-        stream._updated = bool(texts["updated"])
+        carry: Carry = archive.fill(path, like(tree["carry"]), tree["carry"])
+        stream._carry = carry
+        stream._fit(carry.u, carry.y)
+        stream._updated = bool(texts.get("updated"))
         return stream
+
+
+def _shape(leaf: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype)
 
 
 def stream(key: KeyLike, filter: Filter, model: Any, inputs: Inputs = None) -> Stream:

@@ -40,6 +40,9 @@ def smooth(
         checks.refuse("smooth smoother", "a smoother such as RauchTungStriebelSmoother()", type(smoother).__name__)
     if not isinstance(history, History):
         checks.refuse("smooth history", "what mo.run gave", type(history).__name__)
+    if isinstance(history.state, dict):
+        checks.refuse("smooth history", "a history whose laws are known", "one from a file that does not name their kind",
+                      "Smooth before saving, or run anew.")
     count = history.info.ess.shape[0]
     inputs = checked_inputs(inputs, count, "history")
     if ys is not None:
