@@ -1,5 +1,7 @@
 """Memory of a run does not grow with its length, histories apart: asked of the compiled program, so that nothing is timed or run."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 import motes as mo
 from motes.core import random
 from motes.filters.run import _run
+from motes.models.programs import Beside
 
 N = 20_000
 SHORT, LONG = 100, 10_000
@@ -24,10 +27,10 @@ def turning():
 def test_memory_does_not_grow_with_steps(filter):
     def working(steps, keep):
         ys = jax.ShapeDtypeStruct((steps, 1), jnp.float32)
-        return _run.lower(random.as_key(0), filter, turning(), ys, None, keep, None).compile().memory_analysis().temp_size_in_bytes
+        return _run.lower(random.as_key(0), filter, turning(), ys, None, (keep, Beside(filter)), None).compile().memory_analysis().temp_size_in_bytes
 
     short, long = working(SHORT, mo.keep.nothing), working(LONG, mo.keep.nothing)
     # the record of each step is a few numbers, held twice while it is put together; the rest is particles
-    records = 2 * 6 * 4 * LONG
+    records = 2 * len(dataclasses.fields(mo.Info)) * 4 * LONG
     assert short > 2 * N * 4
     assert long - records < 1.2 * short
