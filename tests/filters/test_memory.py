@@ -27,7 +27,8 @@ def turning():
 def test_memory_does_not_grow_with_steps(filter):
     def working(steps, keep):
         ys = jax.ShapeDtypeStruct((steps, 1), jnp.float32)
-        return _run.lower(random.as_key(0), filter, turning(), ys, None, (keep, Beside(filter)), None).compile().memory_analysis().temp_size_in_bytes
+        lowered = _run.lower(random.as_key(0), filter, turning(), ys, None, (keep, Beside(filter)), None)
+        return lowered.compile().memory_analysis().temp_size_in_bytes
 
     short, long = working(SHORT, mo.keep.nothing), working(LONG, mo.keep.nothing)
     # the record of each step is a few numbers, held twice while it is put together; the rest is particles
