@@ -1,7 +1,5 @@
 """`motes calibrate`: the constants of this machine beside the paper's."""
 
-import sys
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -34,10 +32,7 @@ def main(words: Sequence[str]) -> None:
     from motes.costs.calibrate import calibrate
     from motes.costs.complexity import Costs
 
-    with warnings.catch_warnings():
-        # one line, without the place in the code
-        warnings.showwarning = lambda message, *rest, **more: print(f"motes calibrate: {message}", file=sys.stderr)
-        found = calibrate(refresh=settings.refresh)
+    found = calibrate(refresh=settings.refresh)
     paper = Costs.paper()
     rows = [(f"{name}, {MEANINGS[name]}", f"{slope.value:.1f}", f"{slope.low:.1f} to {slope.high:.1f}", f"{slope.r_squared:.3f}",
              f"{getattr(paper, name):.0f}") for name, slope in found.equivalent_flops.items()]

@@ -7,6 +7,7 @@ JAX, so that `motes --help` answers at once.
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 
 from motes.cli import interruption
@@ -65,9 +66,12 @@ def _usage() -> str:
 
 
 def _guarded(name: str, words: list[str]) -> int:
-    """Run a subcommand; turn refusals and interruptions into one line."""
+    """Run a subcommand; turn refusals, warnings and interruptions into one line."""
     try:
-        importlib.import_module(f"motes.cli.{name}").main(words)
+        with warnings.catch_warnings():
+            # in one line, too, and without a place in our own code
+            warnings.showwarning = lambda message, *rest, **more: print(f"motes {name}: {message}", file=sys.stderr)
+            importlib.import_module(f"motes.cli.{name}").main(words)
         sys.stdout.flush()
     except KeyboardInterrupt:
         print(f"motes {name}: interrupted", file=sys.stderr)
