@@ -15,6 +15,7 @@ from motes.filters.history import Carry, History, ask_evidence
 from motes.filters.interface import Filter, Info
 from motes.filters.run import Engine, canonical_parts, checked_data, refuse_infinite
 from motes.io import archive
+from motes.io.members import Form
 from motes.models.canonical import shape_of
 from motes.models.programs import Beside
 from motes.models.state_space import numbers_of
@@ -222,7 +223,9 @@ class Stream:
         path = Path(path)
 
         def like(carry: dict[str, Any]) -> Carry:
-            u = jax.tree.map(_shape, carry.get("u")) if inputs is None else numbers_of("stream inputs", inputs)
+            # what a header says is a tuple, and would be taken apart
+            stored = jax.tree.map(_shape, carry.get("u"), is_leaf=lambda leaf: isinstance(leaf, Form))
+            u = stored if inputs is None else numbers_of("stream inputs", inputs)
             y = jax.ShapeDtypeStruct(carry["y"].shape, model.dtype)
             return jax.eval_shape(lambda u, y: Engine(random.as_key(0), filter, model).initial(u, y), u, y)
 
