@@ -68,5 +68,5 @@ def test_one_step_and_refusals():
     bent = mo.StateSpaceModel(given.initial, mo.AdditiveGaussian(lambda x, u, t: jnp.sin(x), np.eye(3)), given.sensor)
     with pytest.raises(mo.MotesError, match="run_in_parallel model: expected a linear-Gaussian model, got x0: dynamics is nonlinear in it"):
         mo.run_in_parallel(bent, ys)
-    with pytest.raises(mo.CollapseError, match="step 3: all weights vanished"):
+    with pytest.raises(mo.CollapseError, match="step 3: the innovation lies"):
         mo.run_in_parallel(given, np.where(np.arange(23)[:, None] == 3, 1e8, ys), INPUTS)
