@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import motes as mo
-from motes.laws import gaussian
+from motes.laws import density
 from motes.laws.conditional import AdditiveNoise
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
@@ -68,9 +68,9 @@ def test_densities_are_those_on_the_span(precision):
 
 def test_the_old_density_would_be_found(monkeypatch, double):
     """Dead pivots believed nowhere: what lies off the span is ignored."""
-    believed = gaussian.log_density
+    believed = density.log_density
     jax.clear_caches()
-    monkeypatch.setattr(gaussian, "log_density", lambda residual, factor, seen, *_: believed(residual, factor, seen, 0.0, factor[0] < 0))
+    monkeypatch.setattr(density, "log_density", lambda residual, factor, seen, *_: believed(residual, factor, seen, 0.0, factor[0] < 0))
     assert largest_error("float64") == np.inf
     jax.clear_caches()
 
@@ -130,6 +130,7 @@ def test_steps_that_no_element_can_hold_are_refused():
 
 def driven(A, noise):
     """Discrete white-noise acceleration: every state has noise, but of rank one; the step of input 0 takes no time."""
+    A = np.array(A)  # an array that JAX has met in float64 it takes for float64 in float32, too
     g = np.array([[0.5], [1.0]])
     dynamics = mo.LinearGaussian(lambda x, u, t: jnp.where(u > 0, A, np.eye(2)), lambda x, u, t: jnp.where(u > 0, noise * g @ g.T, 0))
     return mo.StateSpaceModel(mo.Gaussian([0.0, 1.0], np.diag([1.0, 0.25])), dynamics, mo.LinearGaussian([[1.0, 0.0]], [[0.25]]))

@@ -180,3 +180,24 @@ def test_drawn_states_leave_the_law_as_a_mixture_over_draws(double):
     assert not left[[0, 2]].any() and not left[:, [0, 2]].any() and np.allclose(left[1, 1], left[1, 1, 0])
     assert np.allclose(np.asarray(pinned.center).mean(axis=1), [1.0, -2.0, 0.5], atol=5 * np.sqrt(2 / n))
     assert np.allclose(np.cov(np.asarray(pinned.center)) + left[..., 0], cov, atol=5 * 2 * np.sqrt(2 / n))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_what_each_law_sees_is_its_own_whatever_their_number(n):
+    """As many laws as states, or measured components, or neither: components that some laws see and others do not."""
+    rng = np.random.default_rng(n)
+    H, half = rng.normal(size=(2, 3)), rng.normal(size=(3, 3))
+    law = mo.Gaussian(rng.normal(size=(3, n)), half @ half.T)
+    R = np.tile(np.diag([0.3, 0.5])[..., None], n)
+    y, seen = rng.normal(size=2), rng.uniform(size=(2, n)) < 0.5
+    found = law.corrected(y[:, None] - H @ law.center, jnp.asarray(H), jnp.asarray(R), jnp.asarray(seen))
+    for i in range(n):
+        rows = seen[:, i]
+        alone = mo.Gaussian(law.center[:, i], law.covariance)
+        if not rows.any():
+            np.testing.assert_allclose(found.law.center[:, i], alone.center, atol=1e-6)
+            continue
+        one = alone.corrected((y - H @ law.center[:, i])[rows], H[rows], R[rows][:, rows, i])
+        np.testing.assert_allclose(found.law.center[:, i], one.law.center, atol=1e-5)
+        np.testing.assert_allclose(found.law.covariance[..., i], one.law.covariance, atol=1e-5)
+        np.testing.assert_allclose(found.log_evidence[i], one.log_evidence, atol=1e-5)

@@ -118,4 +118,4 @@ def test_plot(tmp_path):
         np.testing.assert_allclose([line.get_ydata() for line in axes.lines[:2]], result.rmse_over_time(block))
     assert axes.lines[2].get_ydata() == pytest.approx(2.0) and axes.lines[2].is_dashed()
     figure.savefig(tmp_path / "study.png")
-    assert [text.get_text().strip() for text in figure.legends[0].get_texts()] == ["_first", r"\$x\$", "bound"]
+    assert [text.get_text().strip() for text in figure.legends[0].get_texts()] == ["_first", "$x$", "bound"]

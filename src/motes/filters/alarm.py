@@ -19,7 +19,7 @@ from scipy.special import gammaincinv
 from motes.core import linalg, random
 from motes.laws.circular import wrap
 from motes.laws.conditional import AdditiveGaussian, Conditional, Custom, matrix_over
-from motes.laws.gaussian import among, measured_in, zeroed
+from motes.laws.density import among, measured_in, zeroed
 
 THRESHOLD = 10.0
 """Nats of the cumulative sum at which the alarm rings: once in more than 1e5 steps where all claims are right."""

@@ -17,7 +17,8 @@ from motes.filters.interface import Guide, Info, TwoStageFilter, single
 from motes.filters.needs import as_moment_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import matrix_over, over_particles
-from motes.laws.gaussian import Correction, among, log_normal, log_normal_peak, measured_in, noiseless, zeroed
+from motes.laws.density import among, log_normal, log_normal_peak, measured_in, noiseless, zeroed
+from motes.laws.gaussian import Correction
 from motes.models.state_space import StateSpaceModel
 
 

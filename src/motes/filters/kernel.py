@@ -20,7 +20,8 @@ from motes.filters import alarm
 from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh, surprised
 from motes.filters.needs import as_state_space
 from motes.laws.conditional import AdditiveGaussian, matrix_over
-from motes.laws.gaussian import Gaussian, measured_in
+from motes.laws.density import measured_in
+from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
 from motes.models import linearize
 from motes.models.mixed_linear import MixedLinearModel

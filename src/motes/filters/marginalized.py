@@ -23,7 +23,8 @@ from motes.filters.alarm import Surprise
 from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh, surprised
 from motes.filters.sharp import ask_noise
 from motes.laws.circular import near, wrap
-from motes.laws.gaussian import Gaussian, measured_in
+from motes.laws.density import measured_in
+from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.models.mixed_linear import Affine, MixedLinearModel, initial_split
 from motes.models.split import SplitModel, split

@@ -20,7 +20,8 @@ from motes.filters.history import Carry, History
 from motes.filters.interface import single
 from motes.filters.needs import as_linear_model
 from motes.filters.run import checked_data
-from motes.laws.gaussian import Gaussian, among, measured_in, zeroed
+from motes.laws.density import among, measured_in, zeroed
+from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
 from motes.models.programs import Beside
@@ -101,7 +102,7 @@ def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tupl
     d, H, R = linearize.affine(model.sensor, nowhere, u, t)
     seen = measured_in(y, R)
     surprise = zeroed(model.sensor.residual(y, d + H @ c), seen)
-    H, R = zeroed(H, seen), among(R, seen)
+    H, R = zeroed(H, seen, 2), among(R, seen)
     factor = linalg.cholesky(linalg.sandwich(H, Q) + R)
     gain = linalg.transpose(linalg.solve(factor, linalg.product(H, Q)))
     kept = linalg.identity_like(Q) - linalg.product(gain, H)

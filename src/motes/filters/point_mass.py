@@ -17,7 +17,7 @@ from motes.filters.needs import as_state_space, ask_density
 from motes.filters.sharp import ask_full_noise, ask_noise
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, matrix_over
-from motes.laws.gaussian import noiseless, slack
+from motes.laws.density import noiseless, slack
 from motes.models.state_space import StateSpaceModel
 
 

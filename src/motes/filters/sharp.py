@@ -12,7 +12,8 @@ from motes.core.record import replace
 from motes.filters.interface import Info, by_likelihood, guided
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional
-from motes.laws.gaussian import Gaussian, noiseless
+from motes.laws.density import noiseless
+from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
 from motes.laws.switching import SwitchingSensor
 from motes.models.jump_markov import modes_of

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from motes.core.record import record, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, single
 from motes.filters.needs import as_linear_model
+from motes.laws.density import measured_in
 from motes.laws.factored import FactoredGaussian
-from motes.laws.gaussian import measured_in
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 

@@ -15,7 +15,8 @@ from motes.core import checks, linalg, random
 from motes.core.record import record, static
 from motes.core.types import MatrixLike, UserFunction
 from motes.laws.circular import wrap
-from motes.laws.gaussian import Gaussian, log_normal, log_normal_peak, measured_in
+from motes.laws.density import log_normal, log_normal_peak, measured_in
+from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law, Shifted, as_law, check_size
 
 

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 
 from motes.core import linalg, random
 from motes.core.record import record
-from motes.laws.gaussian import Correction, among, log_density, zeroed
+from motes.laws.density import among, log_density, zeroed
+from motes.laws.gaussian import Correction
 from motes.laws.law import Law
 
 
@@ -49,7 +50,7 @@ class FactoredGaussian(Law):
 
         The triangle of [R^1/2, H L; 0, L] holds the factors of the innovation's covariance and of the new one, and the gain between them.
         """
-        innovation, H, R = zeroed(innovation, seen), zeroed(H, seen), among(R, seen)
+        innovation, H, R = zeroed(innovation, seen), zeroed(H, seen, 2), among(R, seen)
         size = innovation.shape[0]
         nothing = jnp.zeros((self.center.shape[0], size), self.factor.dtype)
         noise = linalg.cholesky(R)

@@ -1,7 +1,7 @@
 """The Gaussian law: affine maps of it and conditioning on measurements; Kalman filters are written with these two alone."""
 
 from collections.abc import Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +9,8 @@ import numpy as np
 
 from motes.core import checks, linalg, random
 from motes.core.record import record
+from motes.laws.density import LOG_2PI, ROUNDING, among, log_density, log_normal, noiseless, same_batch, slack, zeroed
 from motes.laws.law import Law
-
-_LOG_2PI = float(np.log(2 * np.pi))
-_ROUNDING = 64.0
 
 L = TypeVar("L")
 
@@ -120,7 +118,7 @@ class Gaussian(Law):
             seen: which components were measured, `(y,)` or `(y, n)`; None for all.
         """
         if seen is not None:
-            innovation, H, R = zeroed(innovation, seen), zeroed(H, seen), among(R, seen)
+            innovation, H, R = zeroed(innovation, seen), zeroed(H, seen, 2), among(R, seen)
         P = self.covariance
         cross = linalg.product(H, P)
         exact = noiseless(R)
@@ -130,7 +128,7 @@ class Gaussian(Law):
         factor = jax.lax.optimization_barrier(factor)
         size = linalg.times_vector(jnp.abs(H), jnp.abs(self.center))
         log_evidence, peak = log_density(innovation, factor, seen, size, exact)
-        gain = jax.lax.optimization_barrier(linalg.transpose(linalg.solve(*_same_batch(factor, cross))))
+        gain = jax.lax.optimization_barrier(linalg.transpose(linalg.solve(*same_batch(factor, cross))))
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = linalg.add_vectors(linalg.times_vector(gain, usable), self.center)
         kept = linalg.add(linalg.identity_like(P), -linalg.product(gain, H))
@@ -155,8 +153,8 @@ class Gaussian(Law):
         if seen is not None:
             innovation, R = zeroed(innovation, seen), among(R, seen)
         factor, noise = linalg.unit_factor(R)
-        innovation = linalg.solve_lower(*_same_batch(factor, innovation, 1))
-        parts = [linalg.solve_lower(*_same_batch(factor, part)) for _, part in slopes]
+        innovation = linalg.solve_lower(*same_batch(factor, innovation, 1))
+        parts = [linalg.solve_lower(*same_batch(factor, part)) for _, part in slopes]
         places = [(state, part, j) for (states, _), part in zip(slopes, parts, strict=True) for j, state in enumerate(states)]
         center, P = self.center, self.covariance
         peak, distance, off = (jnp.zeros((), P.dtype),) * 3
@@ -170,10 +168,10 @@ class Gaussian(Law):
             # components that were not seen are left out here: masked rows of H would be masked again for every entry of P
             used = True if seen is None else seen[i]
             inverse = jnp.where(used, linalg.inverse(variance), 0)
-            lower = jnp.where(used, linalg.inverse(jnp.maximum(variance, (1 + _ROUNDING * jnp.finfo(P.dtype).eps) * before)), 0)
+            lower = jnp.where(used, linalg.inverse(jnp.maximum(variance, (1 + ROUNDING * jnp.finfo(P.dtype).eps) * before)), 0)
             center = center + cross * (inverse * jnp.where(jnp.isfinite(surprise), surprise, 0))
             P = linalg.rank_update(P, cross, -lower)
-            peak = peak - jnp.where(used & (variance > 0), 0.5 * (jnp.log(jnp.where(variance > 0, variance, 1)) + _LOG_2PI), 0)
+            peak = peak - jnp.where(used & (variance > 0), 0.5 * (jnp.log(jnp.where(variance > 0, variance, 1)) + LOG_2PI), 0)
             distance = distance + inverse * surprise**2
             size = linalg.total([jnp.abs(slope * self.center[state]) for state, slope in row], zero) + jnp.abs(innovation[i])
             off = jnp.maximum(off, jnp.where(used & ~(variance > 0), jnp.abs(surprise) - slack(P.dtype) * size, 0))
@@ -215,28 +213,12 @@ class Correction(NamedTuple, Generic[L]):
     count: jax.Array | int = 0
 
 
-def measured_in(y: jax.Array, R: jax.Array) -> jax.Array:
-    """Tell which components of y `(y,)` were measured, `(y,)` or `(y, n)`: neither NaN nor with an infinite variance in R `(y, y, *n)`."""
-    finite = jnp.isfinite(linalg.diagonal_of(R))
-    return finite & ~(jnp.isnan(y)[:, None] if finite.ndim == 2 else jnp.isnan(y))
-
-
 def _kept_where(lost: jax.Array, before: Gaussian, after: Gaussian) -> Gaussian:
     """Keep the laws that a measurement tells nothing of, as its prediction is no number: zero weight would not hide NaN moments."""
     cov, old = after.covariance, before.covariance
     if cov.ndim == lost.ndim + 2:
         cov = jnp.where(lost, old if old.ndim == cov.ndim else old[..., None], cov)
     return Gaussian(jnp.where(lost, before.center, after.center), cov)
-
-
-def slack(dtype: Any) -> float:
-    """Rounding that numbers are trusted to, as a share of their size."""
-    return _ROUNDING * float(jnp.finfo(dtype).eps)
-
-
-def noiseless(R: jax.Array) -> jax.Array:
-    """Tell of each component of a noise of covariance R `(y, y, *n)` whether those before it say all of it, `(y, *n)`."""
-    return ~(linalg.diagonal_of(linalg.cholesky(R)) > 0)
 
 
 def _terms(S: jax.Array, exact: jax.Array, H: jax.Array, P: jax.Array) -> jax.Array:
@@ -246,105 +228,3 @@ def _terms(S: jax.Array, exact: jax.Array, H: jax.Array, P: jax.Array) -> jax.Ar
     own = linalg.diagonal_of(S)
     exact = exact[:, None] if own.ndim > exact.ndim else exact
     return jnp.where(exact, terms if terms.ndim == own.ndim else terms[:, None], own)
-
-
-def log_normal(
-    residual: jax.Array,
-    cov: jax.Array,
-    seen: jax.Array | None = None,
-    size: jax.Array | float = 0.0,
-    exact: jax.Array | None = None,
-    trusted: float | None = None,
-) -> jax.Array:
-    """Log density of a zero-mean Gaussian at residuals `(y, *n)`, of the components in `seen` (`(y,)`, `(y, n)`, None for all).
-
-    Args:
-        residual: difference of a value and its mean.
-        cov: covariance `(y, y, *n)`; where it is singular the density is that on its span, and zero elsewhere.
-        seen: see above.
-        size: see `log_density`.
-        exact: likewise.
-        trusted: likewise.
-    """
-    return log_density(*_reduced(residual, cov, seen), seen, size, exact, trusted)[0]
-
-
-def log_normal_peak(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:
-    """Largest value that `log_normal` takes with the same covariance and components, `()` or `(n,)`."""
-    return log_density(*_reduced(residual, cov, seen), seen)[1]
-
-
-def _reduced(residual: jax.Array, cov: jax.Array, seen: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-    if seen is None:
-        return residual, linalg.cholesky(cov)
-    return zeroed(residual, seen), linalg.cholesky(among(cov, seen))
-
-
-def zeroed(rows: jax.Array, seen: jax.Array) -> jax.Array:
-    """Rows `(y, ..., *n)` with zeros where the component is not seen."""
-    if seen.ndim == 1:
-        return jnp.where(seen.reshape(-1, *([1] * (rows.ndim - 1))), rows, 0)
-    if rows.ndim == 2 and rows.shape != seen.shape:
-        rows = rows[..., None]
-    return jnp.where(seen if rows.ndim == 2 else seen[:, None], rows, 0)
-
-
-def among(R: jax.Array, seen: jax.Array) -> jax.Array:
-    """Covariance with unseen components made independent of the rest, with variance one."""
-    both = seen[:, None] & seen[None]
-    unit = jnp.eye(R.shape[0], dtype=R.dtype)
-    if both.ndim == 3 or R.ndim == 3:
-        unit = unit[..., None]
-        both = both if both.ndim == 3 else both[..., None]
-        R = R if R.ndim == 3 else R[..., None]
-    return jnp.where(both, R, unit)
-
-
-def log_density(
-    residual: jax.Array,
-    factor: jax.Array,
-    seen: jax.Array | None,
-    size: jax.Array | float = 0.0,
-    exact: jax.Array | None = None,
-    trusted: float | None = None,
-) -> tuple[jax.Array, jax.Array]:
-    """`log_normal` and its peak, from the lower factor of the covariance; components not seen are zero and of variance one.
-
-    Args:
-        residual: `(y, *n)`.
-        factor: `(y, y, *n)`; a pivot of zero says that the components before it say all of this one.
-        seen: see `log_normal`.
-        size: how large the numbers are whose difference the residual is, `(y, *n)`: how far rounding may have led off the span.
-        exact: components `(y, *n)` whose zero pivots are to be believed; others are left out, since rounding made them. None for all.
-        trusted: share of the size that rounding may have; None for that of the type.
-    """
-    factor, residual = _same_batch(factor, residual, 1)
-    white, beyond = _whitened(factor, residual, size, slack(factor.dtype) if trusted is None else trusted)
-    alive = linalg.diagonal_of(factor) > 0
-    believed = ~alive if exact is None else ~alive & (exact[:, None] if exact.ndim < alive.ndim else exact)
-    off = jnp.any(believed[:, None] & (beyond > 0) if believed.ndim < beyond.ndim else believed & (beyond > 0), axis=0)
-    counted = alive if seen is None else alive & (seen[:, None] if seen.ndim < alive.ndim else seen)
-    peak = -0.5 * (linalg.log_determinant(factor) + _LOG_2PI * jnp.sum(counted, axis=0))
-    return jnp.where(off, -jnp.inf, peak - 0.5 * jnp.sum(white**2, axis=0)), peak
-
-
-def _whitened(factor: jax.Array, residual: jax.Array, size: jax.Array | float, trusted: float) -> tuple[jax.Array, jax.Array]:
-    """Solve L z = b as `solve_lower` does; also return by how much what is left of each component exceeds its rounding, `(y, *n)`."""
-    size = jnp.abs(residual) + (size[:, None] if isinstance(size, jax.Array) and size.ndim < residual.ndim else size)
-    rows: list[jax.Array] = []
-    sizes: list[jax.Array] = []
-    beyond: list[jax.Array] = []
-    for i in range(factor.shape[0]):
-        inverse = linalg.inverse(factor[i, i])
-        left = residual[i] - sum(factor[i, j] * row for j, row in enumerate(rows))
-        reach = size[i] + sum(jnp.abs(factor[i, j]) * one for j, one in enumerate(sizes))
-        rows.append(left * inverse)
-        sizes.append(reach * inverse)
-        beyond.append(jnp.abs(left) - trusted * reach)
-    return jnp.stack(rows), jnp.stack(beyond)
-
-
-def _same_batch(factor: jax.Array, b: jax.Array, small_axes: int = 2) -> tuple[jax.Array, jax.Array]:
-    if factor.ndim == 3 and b.ndim == small_axes:
-        b = b[..., None]
-    return factor, b

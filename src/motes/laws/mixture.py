@@ -9,7 +9,8 @@ from motes.core import checks, linalg, logspace, random, sums
 from motes.core.record import record, replace
 from motes.laws.circular import gathered
 from motes.laws.cloud import draw, weighted_moments
-from motes.laws.gaussian import Gaussian, log_normal
+from motes.laws.density import log_normal
+from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from motes.core import linalg
 from motes.laws.conditional import AdditiveGaussian, Conditional, LinearGaussian, matrix
-from motes.laws.gaussian import Correction, Gaussian, measured_in
+from motes.laws.density import measured_in
+from motes.laws.gaussian import Correction, Gaussian
 from motes.models.mixed_linear import user_order
 
 

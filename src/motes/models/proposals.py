@@ -16,7 +16,8 @@ import numpy as np
 from motes.core import checks, linalg, random
 from motes.core.record import record
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over, over_particles
-from motes.laws.gaussian import Gaussian, among, log_normal, log_normal_peak, noiseless
+from motes.laws.density import among, log_normal, log_normal_peak, noiseless
+from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 from motes.models.structure import trace

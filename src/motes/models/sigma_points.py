@@ -15,7 +15,8 @@ import numpy as np
 from motes.core import linalg
 from motes.core.record import record, static
 from motes.laws.conditional import Conditional, matrix_over, over_particles
-from motes.laws.gaussian import Correction, Gaussian, measured_in
+from motes.laws.density import measured_in
+from motes.laws.gaussian import Correction, Gaussian
 from motes.models import linearize
 
 

@@ -15,7 +15,8 @@ from motes.core.compiling import jitted
 from motes.core.record import record
 from motes.core.types import KeyLike
 from motes.laws.cloud import draw
-from motes.laws.gaussian import Gaussian, log_normal
+from motes.laws.density import log_normal
+from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
 from motes.laws.mixture import Mixture
 from motes.montecarlo.estimate import Estimate, averaged, densities_at, mixture_log_prob, values_at, warned

@@ -15,7 +15,8 @@ from motes.core.record import record, replace, static
 from motes.filters.history import History
 from motes.laws.circular import wrap
 from motes.laws.cloud import draw, pick
-from motes.laws.gaussian import Gaussian, log_normal, noiseless
+from motes.laws.density import log_normal, noiseless
+from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.models.split import SplitModel, split
 from motes.models.state_space import at_step

@@ -20,7 +20,8 @@ from motes.filters.history import History
 from motes.filters.needs import as_particle_model
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.laws.conditional import AdditiveGaussian, matrix_over
-from motes.laws.gaussian import Gaussian, noiseless
+from motes.laws.density import noiseless
+from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_backward_density, ask_laws
 from motes.smoothers.parents import Move
