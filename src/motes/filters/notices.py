@@ -9,8 +9,8 @@ from motes.filters.history import History
 
 SCARCE = 10.0
 """Effective sample size below which a step lives on too few particles to trust; of few particles, a fifth of them."""
-STARVED = 5.0
-"""The same, below which estimates after it are not to be trusted: their errors exceed by far what they claim."""
+STARVED = 2.0
+"""The same, below which estimates after it are not to be trusted: one measurement in a hundred or so takes a sound run below the other."""
 
 
 def warn(history: History, before: History | None) -> None:
