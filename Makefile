@@ -7,7 +7,7 @@ BENCH := .venv-bench
 NEWEST := .venv-newest
 EXTRAS := all,dev
 
-.PHONY: setup demo test test-native test-newest lint bench clean
+.PHONY: setup demo test night test-native test-newest lint bench clean
 
 setup: $(STAMP)
 
@@ -28,6 +28,10 @@ demo: $(STAMP)
 test: $(STAMP)
 	@XLA_FLAGS="$$($(BIN)/python tests/quick.py)" $(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized"
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup -m optimized
+
+# what takes too long for every change, and more of what does not
+night:
+	@MOTES_NIGHTLY=1 $(MAKE) --no-print-directory test
 
 # the tests that run filters, once more with the native engine; CI asks for the contract alone
 NATIVE := tests/contract tests/filters tests/oracles tests/applications tests/laws tests/resampling

@@ -13,6 +13,8 @@ from data import recorded, refused
 from motes.applications.aircraft_tracking import scenario
 from motes.applications.aircraft_tracking.model import Flight, Radar, constant_velocity, jumping, turned, white_acceleration
 
+pytestmark = pytest.mark.jax
+
 SEEDS, STEPS = 20, 1660
 
 

@@ -1,6 +1,5 @@
 """The range-only robot: reading a recording, its line of time, the model's structure, and the runs on real and made-up data."""
 
-import os
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +16,7 @@ from motes.core.record import replace
 from motes.io.matlab import read_matrices
 from motes.io.recordings import RangeOnlyRecording, read_plaza
 from motes.plotting.robot import robot_figure
+from tiers import each
 
 BEACONS = np.array([[0, -15.0, 5.0], [1, 12.0, -9.0], [6, 16.0, 14.0], [5, -8.0, 20.0]])
 LINEAR = ("scale", "offset")
@@ -338,11 +338,8 @@ def test_a_scale_that_the_prior_does_not_allow_is_a_finding(run_of_file):
     assert "beyond the prior" in found and not found.trusted and "scale" in str(found)
 
 
-BY_NIGHT = pytest.mark.skipif(not os.environ.get("MOTES_NIGHTLY"), reason="by night: MOTES_NIGHTLY=1")
-
-
 @pytest.mark.optimized  # much to compute
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name == "mirrored" else BY_NIGHT) for name in [*SECOND, "with outliers"]])
+@pytest.mark.parametrize("name", each([*SECOND, "with outliers"], {*SECOND, "with outliers"} - {"mirrored"}))
 def test_second_recordings_made_of_the_recorded_one(name):
     first = read_plaza(recorded("robot/Plaza1_.mat"))
     second = {**SECOND, "cut": lambda first: recordings.cut(first, 600.0, 1500.0), "with outliers": recordings.with_outliers}[name](first)

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
+import motes as mo
+from tiers import NIGHT, each
+
 SECONDS = 20.0  # in which a process must have ended; it takes a tenth of a second where nobody else computes
-NIGHTLY = bool(os.environ.get("MOTES_NIGHTLY"))
 ASLEEP = """
 import ctypes, sys
 mutex = ctypes.create_string_buffer(64)
@@ -102,15 +104,62 @@ def test_work_that_cannot_be_stopped_is_left_behind():
     assert (process.returncode, out, err) == (130, "interrupted\n", "") and seconds < SECONDS
 
 
-def test_interruptions_at_random_moments(tmp_path):
-    chance = random.Random(24)  # noqa: NPY002
-    command = ("from motes.cli.main import main; main()", "demo", "--n", "100", "--out", tmp_path / "out")
-    for _ in range(100 if NIGHTLY else 4):
-        process = started(*command)
-        time.sleep(1.0 + chance.uniform(0, 20.0 if NIGHTLY else 6.0))
+SAMPLING = """
+import sys
+import jax.numpy as jnp
+import motes as mo
+chains = mo.sample(0, mo.mcmc.RandomWalkMetropolis(0.5), lambda x: -0.5 * x**2, jnp.zeros(()), draws=500_000)
+kept = chains.positions.size
+chains.save(sys.argv[-1] + "/chains.npz")
+print(kept, flush=True)
+"""
+COMMANDS = {
+    "demo": ("demo", "--n", "100", "--out", "OUT"),
+    "demo with a study": ("demo", "--n", "100", "--study", "3", "--out", "OUT"),
+    "run": ("run", "FLIGHT/terrain.toml", "--out", "OUT"),
+    "plan": ("plan", "FLIGHT/terrain.toml", "--budget", "2.5ms", "--fixes", "30", "--runs", "4"),
+}
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """The demonstration's flight and map, for commands that ask for a file."""
+    place = tmp_path_factory.mktemp("flight") / "out"
+    ended = started("from motes.cli.main import main; main()", "demo", "--n", "100", "--out", place)
+    ended.communicate()
+    assert ended.returncode == 0
+    return place
+
+
+@pytest.mark.parametrize("name", each(list(COMMANDS), set(COMMANDS) - {"demo"}))
+def test_interruptions_at_random_moments(name, flight, tmp_path):
+    """20 each by night, one by day; the last moments may be after the end."""
+    chance = random.Random(len(name))  # noqa: NPY002
+    for number in range(20 if NIGHT else 1):
+        out = tmp_path / f"out{number}"
+        words = [word.replace("OUT", str(out)).replace("FLIGHT", str(flight)) for word in COMMANDS[name]]
+        process = started("from motes.cli.main import main; main()", *words)
+        time.sleep(0.5 + chance.uniform(0, 12.0 if NIGHT else 4.0))
         if process.poll() is None:
-            out, err, _ = interrupted(process)
-            assert process.returncode == 130 and err.splitlines()[-1] == "motes demo: interrupted", err
+            _, err, _ = interrupted(process)
+            assert process.returncode == 130 and err.splitlines()[-1] == f"motes {words[0]}: interrupted", err
             assert "Traceback" not in err and not [path for path in Path(tmp_path).rglob(".*")]
         else:
-            process.communicate()
+            assert not process.communicate()[1].count("Traceback") and process.returncode == 0
+
+
+@pytest.mark.night  # twenty processes
+def test_sampling_interrupted_keeps_its_draws(tmp_path):
+    """A program of the user's: it goes on after `sample` with the draws so far, or has none and ends by the interruption."""
+    chance = random.Random(7)  # noqa: NPY002
+    kept = []
+    for _ in range(20):
+        process = started(SAMPLING, tmp_path)
+        time.sleep(1.5 + chance.uniform(0, 12.0))
+        out, err, _ = interrupted(process)
+        if out:
+            kept.append(int(out))
+            assert process.returncode == 0 and mo.Chains.load(tmp_path / "chains.npz").positions.size == kept[-1]
+        else:
+            assert process.returncode in (130, -signal.SIGINT) and "Interrupt" in err, err
+    assert kept

@@ -14,26 +14,44 @@ from models import linear
 from motes.core import random, record
 from motes.filters import run as running
 from motes.filters.run import Engine
+from tiers import each
 
 FILTERS = examples()
 STEPS = 12
 
 
-def each_filter():
-    return pytest.mark.parametrize("filter", FILTERS.values(), ids=FILTERS.keys())
+CLASSES = {name: filter for name, filter in FILTERS.items() if ", " not in name}
+"""One filter of each class: for what variants cannot differ in, since it takes long to compile."""
+WITH_A_LIKELIHOOD = {name: filter for name, filter in CLASSES.items() if filter.has_evidence}
+LAWS = {name: FILTERS[name] for name in (
+    "KalmanFilter", "SquareRootKalmanFilter", "ParticleFilter", "MarginalizedParticleFilter", "KalmanParticleKernelFilter",
+    "CostReferenceParticleFilter", "JumpMarkovFilter")}  # fmt: skip
+"""One filter for each kind of law: for how the loop carries a law on."""
+SHARED = {name for name in FILTERS if ", " in name or name.startswith((
+    "Ensemble", "GaussianParticle", "GaussianSum", "CostReference", "Interacting", "JumpMarkov", "Auxiliary"))}  # fmt: skip
+"""Variants, and filters whose stages are made of what others have, too: some questions they are asked by night alone."""
+WITHOUT_PARTICLES = {name for name in FILTERS if name.endswith(("KalmanFilter", "GaussHermiteFilter", "PointMassFilter", "common kernel"))}
+"""Filters of which the native engine has nothing."""
+ALL_BUT_THREE = set(FILTERS) - {"KalmanFilter", "ParticleFilter", "MarginalizedParticleFilter"}
 
 
-def each_class():
-    """One filter of each class: for what variants cannot differ in, since it takes long to compile."""
-    found = {name: filter for name, filter in FILTERS.items() if ", " not in name}
-    return pytest.mark.parametrize("filter", found.values(), ids=found.keys())
+def each_of(filters, night=(), native=False):
+    """Ask a question of filters, of those named by night; with the native engine of those that have stages in it, or of all."""
+    return pytest.mark.parametrize("filter", _cases(filters, night, native))
 
 
-def each_law():
-    """One filter for each kind of law: for how the loop carries a law on."""
-    names = ("KalmanFilter", "SquareRootKalmanFilter", "ParticleFilter", "MarginalizedParticleFilter", "KalmanParticleKernelFilter",
-             "CostReferenceParticleFilter", "JumpMarkovFilter")  # fmt: skip
-    return pytest.mark.parametrize("filter", [FILTERS[name] for name in names], ids=names)
+def each_in_both_precisions(filters, night=(), double_by_night=(), native=False):
+    """Ask it in float32 and float64; in float64 of those of the second list by night, and never with the native engine."""
+    single, double = _cases(filters, night, native), _cases(filters, {*night, *double_by_night}, False, pytest.mark.jax)
+    cases = [pytest.param(*case.values, precision, id=f"{precision}-{case.id}", marks=case.marks)
+             for precision, some in (("float32", single), ("float64", double)) for case in some]  # fmt: skip
+    return pytest.mark.parametrize(("filter", "precision"), cases, indirect=["precision"])
+
+
+def _cases(filters, night, native, *marks):
+    jax_alone = WITHOUT_PARTICLES | (set() if native else SHARED)
+    return [pytest.param(*case.values, id=case.id, marks=[*case.marks, *marks, *[pytest.mark.jax] * (case.id in jax_alone)])
+            for case in each(filters, night)]  # fmt: skip
 
 
 def data(model, steps=STEPS, seed=5):
@@ -55,11 +73,6 @@ def likelihood(of):
     return jnp.zeros(())
 
 
-def each_class_with_a_likelihood():
-    some = {name: filter for name, filter in FILTERS.items() if filter.has_evidence and ", " not in name}
-    return pytest.mark.parametrize("filter", some.values(), ids=some.keys())
-
-
 def test_every_filter_is_found_and_documented():
     assert len(filter_classes()) >= 6
     for cls in filter_classes().values():
@@ -67,7 +80,7 @@ def test_every_filter_is_found_and_documented():
         assert getattr(mo, cls.__name__, cls) is cls
 
 
-@each_filter()
+@each_in_both_precisions(FILTERS, double_by_night=SHARED - set(CLASSES))
 def test_law_keeps_its_form(filter, precision):
     model = linear()
     engine = Engine(random.as_key(0), filter, model)
@@ -79,7 +92,7 @@ def test_law_keeps_its_form(filter, precision):
     assert all(x.dtype == precision for x in jax.tree.leaves(stepped.state) if jnp.issubdtype(x.dtype, jnp.floating))
 
 
-@each_class()
+@each_in_both_precisions(CLASSES, double_by_night=SHARED)
 def test_law_answers(filter, precision):
     state = mo.run(1, filter, linear(), data(linear())).state
     assert state.mean().shape == (2,) and state.cov().shape == (2, 2)
@@ -91,7 +104,7 @@ def test_law_answers(filter, precision):
     assert np.allclose(np.cov(points), np.asarray(state.cov()), atol=0.05 * spread.max() ** 2)
 
 
-@pytest.mark.parametrize("filter", [example(cls) for cls in filter_classes().values()], ids=filter_classes().keys())
+@each_of({name: example(cls) for name, cls in filter_classes().items()}, SHARED)
 def test_eager_equals_jitted(filter, double):
     model = linear()
     ys = data(model, 2)
@@ -106,7 +119,7 @@ def test_eager_equals_jitted(filter, double):
 
 
 @pytest.mark.optimized
-@each_filter()
+@each_in_both_precisions(FILTERS, SHARED, ALL_BUT_THREE, native=True)
 def test_stream_draws_the_same_bits_as_run(filter, precision):
     model = linear()
     ys = data(model)
@@ -129,7 +142,7 @@ def test_stream_draws_the_same_bits_as_run(filter, precision):
 
 
 @pytest.mark.optimized
-@each_law()
+@each_in_both_precisions(LAWS, double_by_night=ALL_BUT_THREE)
 def test_cut_and_continued_equals_uncut(filter, precision):
     model = linear()
     ys = data(model)
@@ -141,7 +154,7 @@ def test_cut_and_continued_equals_uncut(filter, precision):
 
 
 @pytest.mark.optimized
-@each_law()
+@each_of(LAWS)
 def test_checkpoint_brings_back_the_same_bits(filter, tmp_path):
     model = linear()
     ys = data(model)
@@ -160,7 +173,7 @@ def test_checkpoint_brings_back_the_same_bits(filter, tmp_path):
     assert same_bits(likelihood(again), likelihood(whole))
 
 
-@each_filter()
+@each_of(FILTERS)
 def test_vmap_over_keys(filter):
     model = linear()
     ys = jnp.asarray(data(model))
@@ -172,7 +185,7 @@ def test_vmap_over_keys(filter):
         assert not filter.has_evidence or np.allclose(together.log_likelihood[i], alone.log_likelihood, atol=2e-3)
 
 
-@each_class()
+@each_of(CLASSES, SHARED)
 def test_vmap_over_models_and_data(filter):
     ys = jnp.stack([jnp.asarray(data(linear(), seed=seed)) for seed in (1, 2)])
     models = jax.tree.map(lambda *leaves: jnp.stack(leaves), linear(), linear(scale=2.0))
@@ -187,7 +200,7 @@ def test_vmap_over_models_and_data(filter):
 
 
 @pytest.mark.optimized
-@each_class()
+@each_in_both_precisions(CLASSES, SHARED, ALL_BUT_THREE)
 def test_nothing_measured_is_predict_only(filter, precision):
     model = linear()
     key = random.as_key(9)
@@ -202,7 +215,7 @@ def test_nothing_measured_is_predict_only(filter, precision):
         assert same_bits(jax.jit(lambda m, c: Engine(key, filter, m).move(c, None))(model, carry).state, stepped.state)
 
 
-@each_filter()
+@each_of(FILTERS)
 def test_missing_components_equal_the_marginal_model(filter, double):
     """Patterns of NaN in six components: the update equals that of a model that never had those components (N7)."""
     full = linear(range(6))
@@ -225,7 +238,7 @@ def test_missing_components_equal_the_marginal_model(filter, double):
             assert np.allclose(np.asarray(found)[rows], wanted, rtol=1e-5, atol=1e-5)
 
 
-@each_class()
+@each_of(CLASSES)
 def test_second_call_does_not_trace_again(filter):
     calls = []
 
@@ -246,9 +259,10 @@ def test_second_call_does_not_trace_again(filter):
     assert len(calls) <= count + 2 and running._run._cache_size() == compiled
 
 
-@each_class()
-@pytest.mark.parametrize("policy", ["predict", "inflate"])
-@pytest.mark.parametrize("size", [10.0, 1e3, 1e6])
+@each_of(CLASSES)
+@pytest.mark.parametrize(("size", "policy"), [
+    *product([10.0, 1e3, 1e6], ["predict"]), (10.0, "inflate"), (1e3, "inflate"), pytest.param(1e6, "inflate", marks=pytest.mark.night),
+])
 def test_one_outlier_is_survived(filter, policy, size):
     """N5: after an outlier of many standard deviations everything stays finite and the error comes back under 3 sigma."""
     filter = record.replace(filter, on_collapse=policy)
@@ -266,7 +280,7 @@ def test_one_outlier_is_survived(filter, policy, size):
         assert np.all(np.abs(error).mean(axis=0) < 3 * sigma)
 
 
-@each_class_with_a_likelihood()
+@each_of(WITH_A_LIKELIHOOD)
 def test_likelihood_is_that_of_the_kalman_filter(filter):
     """Unbiased: the mean ratio over 100 seeds, level 1e-6; 0.02 more for grids, and for kernels that widen a cloud."""
     filter = example(type(filter))
@@ -278,7 +292,7 @@ def test_likelihood_is_that_of_the_kalman_filter(filter):
     assert abs(ratio.mean() - 1) < 4.9 * ratio.std(ddof=1) / 10 + 0.02
 
 
-@each_class_with_a_likelihood()
+@each_of(WITH_A_LIKELIHOOD)
 def test_collapse_raises_and_names_the_step(filter):
     model = linear()
     ys = data(model)
@@ -309,7 +323,7 @@ MOMENTS_ONLY = ("Kalman", "GaussHermite", "CostReference", "InteractingMultiple"
 WEIGHTED = {name: f for name, f in FILTERS.items() if not any(word in name for word in MOMENTS_ONLY)}
 
 
-@pytest.mark.parametrize("filter", WEIGHTED.values(), ids=WEIGHTED.keys())
+@each_of(WEIGHTED, native=True)
 @pytest.mark.parametrize(
     ("case", "collapses"),
     [("all zero", True), ("all equal to -1e30", True), ("one infinite", True), ("one not a number", False)],
@@ -333,9 +347,10 @@ def test_extreme_weights_have_documented_outcomes(filter, case, collapses):
     assert np.isfinite(np.asarray(history.mean)).all()
 
 
-@pytest.mark.parametrize("cls", filter_classes().values(), ids=filter_classes().keys())
-def test_smallest_sizes(cls):
+@each_of({name: example(cls) for name, cls in filter_classes().items()})
+def test_smallest_sizes(filter):
     """N8: one and three particles; one state; more measurements than states; one step."""
+    cls = type(filter)
     ys = data(linear(range(3)), 4)
     knobs_of = {field.name for field in dataclasses.fields(cls)}
     counts = [{"n": n} for n in (1, 3)] if "n" in knobs_of else [{}]
@@ -350,7 +365,7 @@ def test_smallest_sizes(cls):
     assert mo.run(0, example(cls, **grid), scalar, np.ones((3, 2))).mean.shape == (3, 1)
 
 
-@each_class_with_a_likelihood()
+@each_of(WITH_A_LIKELIHOOD)
 def test_likelihood_can_be_differentiated(filter, double):
     model = linear()
     ys = jnp.asarray(data(model, 4))
@@ -362,7 +377,7 @@ def test_likelihood_can_be_differentiated(filter, double):
     assert np.isfinite(float(jax.grad(loss)(1.3)))
 
 
-@each_filter()
+@each_of(FILTERS)
 def test_filter_is_a_value(filter):
     again = record.replace(filter)
     assert again == filter and hash(again) == hash(filter) and type(filter).__name__ in repr(filter)

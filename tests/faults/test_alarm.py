@@ -4,7 +4,6 @@ Figures: at most one false alarm in 1e5 steps with 1 000 particles; with R claim
 runs; with a bias of three standard deviations within 8 (Page 1954; the delays of a scalar measurement).
 """
 
-import os
 import sys
 import warnings
 from pathlib import Path
@@ -16,11 +15,11 @@ import pytest
 
 import motes as mo
 from motes.filters import alarm
+from tiers import NIGHT
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
 import discovery
 
-NIGHT = bool(os.environ.get("MOTES_NIGHTLY"))
 SILENT = ("CostReferenceParticleFilter", "SkeletonFilter")
 """No probabilities, or (the skeleton) no alarm."""
 

@@ -5,7 +5,6 @@ One compiled program serves both: an input tells the dynamics whether to wrap th
 
 import importlib
 import inspect
-import os
 import pkgutil
 import sys
 from functools import cache
@@ -22,6 +21,7 @@ from motes.core.record import replace
 from motes.diagnostics import undeclared
 from motes.laws import circular, cloud
 from motes.smoothers.interface import Smoother
+from tiers import each
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
 from discovery import examples
@@ -112,10 +112,8 @@ BY_NIGHT = {name for name in examples() if ", " in name and name not in WITHOUT_
 """Variants of others, with respect to what they average."""
 
 
-@pytest.mark.parametrize("name", sorted(set(filters()) - set(LINEAR)))
+@pytest.mark.parametrize("name", each(sorted(set(filters()) - set(LINEAR)), BY_NIGHT))
 def test_every_filter(name):
-    if name in BY_NIGHT and not os.environ.get("MOTES_NIGHTLY"):
-        pytest.skip("by night")
     assert alike(*both(filters()[name]))
 
 

@@ -1,6 +1,5 @@
 """Sums over very many particles in float32: what a law reports of itself is off by far less than its Monte Carlo standard error."""
 
-import os
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +11,7 @@ from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
 
 N = 4_012_345
-NIGHT = 100_000_000
+MOST = 100_000_000
 
 
 def points(x: int, n: int) -> jax.Array:
@@ -80,7 +79,7 @@ def test_a_large_ensemble() -> None:
     np.testing.assert_allclose(np.asarray(law.cov())[1, 1], 25 - 100 / 26, atol=5 * 25 * np.sqrt(2 / n))
 
 
-@pytest.mark.skipif(not os.environ.get("MOTES_NIGHTLY"), reason="by night: 2.4 GB of particles")
+@pytest.mark.night  # 2.4 GB of particles
 def test_a_hundred_million() -> None:
-    law = mo.Cloud.equal(points(2, NIGHT))
+    law = mo.Cloud.equal(points(2, MOST))
     assert shortfall((law.mean(), law.cov()), law) < 0.1

@@ -1,8 +1,7 @@
-"""Mutated files: 200 for each reader by day, 20 000 by night (MOTES_NIGHTLY=1); each is read within 20 s, or refused in one line."""
+"""Mutated files: 200 for each reader by day, 20 000 by night; each is read within 20 s, or refused in one line."""
 
 import gzip
 import json
-import os
 import sys
 import time
 import warnings
@@ -18,13 +17,14 @@ from motes.core.checks import MotesError, MotesWarning
 from motes.io.recordings import read_plaza
 from motes.io.tables import read_table
 from motes.studies.store import LEDGER, Store
+from tiers import NIGHT
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "io"))
 from raster_files import HEIGHTS, dted, geotiff, npz  # noqa: E402
 
 from motes.io.rasters import read_raster  # noqa: E402
 
-MUTATIONS = 20_000 if os.environ.get("MOTES_NIGHTLY") else 200
+MUTATIONS = 20_000 if NIGHT else 200
 SLOWEST = 20.0
 
 

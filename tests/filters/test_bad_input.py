@@ -6,6 +6,8 @@ import pytest
 
 import motes as mo
 
+pytestmark = pytest.mark.jax
+
 EYE = np.eye(2)
 
 

@@ -7,6 +7,8 @@ import pytest
 
 import motes as mo
 
+pytestmark = pytest.mark.jax
+
 BEACONS = np.array([[-6.0, -4.0], [7.0, -5.0], [0.0, 9.0]])
 
 

@@ -9,6 +9,8 @@ from scipy.stats import norm
 import motes as mo
 from oracles.test_linear_gaussian import four_states
 
+pytestmark = pytest.mark.jax
+
 RUNS = 60
 
 

@@ -8,6 +8,8 @@ from scipy.stats import norm
 
 import motes as mo
 
+pytestmark = pytest.mark.jax
+
 RUNS, N = 100, 2000
 
 

@@ -13,6 +13,8 @@ import motes as mo
 from data import recorded
 from motes.io.tables import read_table
 
+pytestmark = pytest.mark.jax
+
 CHAIN = np.array([[0.85, 0.1, 0.05], [0.3, 0.6, 0.1], [0.0, 0.55, 0.45]])
 START = np.array([0.5, 0.2, 0.3])
 A = [np.array([[0.9, 0.3], [-0.1, 0.7]]), np.array([[1.1, -0.2], [0.4, 0.5]]), np.array([[0.3, 0.0], [0.0, -0.8]])]

@@ -8,6 +8,8 @@ from scipy.stats import multivariate_normal, norm
 
 import motes as mo
 
+pytestmark = pytest.mark.jax
+
 LEVEL = 1e-6
 A = np.array([[0.9, 0.5, 0.0], [0.0, 0.8, 0.3], [0.1, 0.0, 0.7]])
 Q = np.diag([0.0, 0.4, 0.2])  # the first state has no noise of its own

@@ -10,6 +10,8 @@ import motes as mo
 from motes.models import sigma_points
 from oracles.test_linear_gaussian import four_states
 
+pytestmark = pytest.mark.jax
+
 FILTERS = {
     "unscented": mo.UnscentedKalmanFilter(),
     "unscented, narrow": mo.UnscentedKalmanFilter(alpha=0.1, beta=2.0, kappa=1.0),

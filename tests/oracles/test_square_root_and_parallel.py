@@ -7,6 +7,8 @@ import pytest
 
 import motes as mo
 
+pytestmark = pytest.mark.jax
+
 
 def model(cross_cov=None):
     """Three states, time-varying dynamics driven by inputs, two measured components, one with a singular process noise."""

@@ -1,6 +1,5 @@
 """Every way to the parameters reaches the exact posterior, has uniform ranks, and says what it cannot use."""
 
-import os
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +10,7 @@ from scipy import stats
 import motes as mo
 from motes.core import random
 from motes.core.checks import CollapseError, MotesError
+from tiers import NIGHT
 
 mcmc, parameters = mo.mcmc, mo.parameters
 STEPS = 12
@@ -251,11 +251,11 @@ def test_the_likelihood_has_a_gradient():
     assert np.isfinite(np.asarray(chains.log_density)).all()
 
 
-NIGHT = 10 if os.environ.get("MOTES_NIGHTLY") else 1
+TIMES = 10 if NIGHT else 1
 """Times as many worlds are simulated at night."""
 
 
-def ranks(kernel, make, start, theta_of, worlds=400 * NIGHT, draws=15, apart=40):
+def ranks(kernel, make, start, theta_of, worlds=400 * TIMES, draws=15, apart=40):
     """Draw parameters and data, run a chain on each, and return the ranks of the true parameters among the chain's draws.
 
     Ranks are uniform only among independent draws: 6 steps apart, 4 000 worlds see that they are not.
@@ -280,7 +280,7 @@ def ranks(kernel, make, start, theta_of, worlds=400 * NIGHT, draws=15, apart=40)
 @pytest.mark.optimized
 @pytest.mark.parametrize("name", ["PMMH", "particle Gibbs"])
 def test_ranks_of_the_truth_are_uniform(name):
-    """Simulation-based calibration (Talts et al. 2018); 16 ranks from 400 worlds, MOTES_NIGHTLY=1 for ten times as many."""
+    """Simulation-based calibration (Talts et al. 2018); 16 ranks from 400 worlds, by night ten times as many."""
     from motes.core.record import replace
 
     if name == "PMMH":
@@ -298,7 +298,7 @@ def test_ranks_of_the_truth_among_sequential_parameters_are_uniform():
     from motes.core.record import replace
 
     found = []
-    for world in range(40 * NIGHT):
+    for world in range(40 * TIMES):
         key = random.step_key(random.as_key(12), world)
         theta = PRIOR.sample(random.child(key, 2), 1)[:, 0]
         ys = mo.simulate(random.child(key, 3), model(theta), STEPS)[1]
