@@ -85,6 +85,7 @@ def test_run_repeats_the_demo(folder, demo, capsys):
     assert summary["settings"]["seed"] == 1 and summary["settings"]["noises"]["altimeter"] == 15.0
 
 
+@pytest.mark.night  # much to compile
 def test_run_with_fifteen_states(folder, capsys):
     change(folder, "states = 9", "states = 15")
     assert main(["run", str(folder / "terrain.toml"), "--filter.n", "60"]) == 0

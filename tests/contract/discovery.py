@@ -43,6 +43,19 @@ def example(cls, **changes):
     return cls(**{**knobs, **changes})
 
 
+SHARED = ("Ensemble", "GaussianParticle", "GaussianSum", "CostReference", "Interacting", "JumpMarkov", "Auxiliary")
+
+
+def is_variant(name):
+    """Whether an example is a second one of its class."""
+    return ", " in name
+
+
+def shares_stages(name):
+    """Whether all stages of an example are made of what others have, too: some questions it is asked by night alone."""
+    return is_variant(name) or name.startswith(SHARED)
+
+
 def examples():
     """Filters to test: one of each class, and the variants that take other paths through a class."""
     import motes as mo

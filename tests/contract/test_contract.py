@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from discovery import example, examples, filter_classes
+from discovery import example, examples, filter_classes, is_variant, shares_stages
 
 import motes as mo
 from models import linear
@@ -20,16 +20,15 @@ FILTERS = examples()
 STEPS = 12
 
 
-CLASSES = {name: filter for name, filter in FILTERS.items() if ", " not in name}
+CLASSES = {name: filter for name, filter in FILTERS.items() if not is_variant(name)}
 """One filter of each class: for what variants cannot differ in, since it takes long to compile."""
 WITH_A_LIKELIHOOD = {name: filter for name, filter in CLASSES.items() if filter.has_evidence}
+VARIANTS = set(FILTERS) - set(CLASSES)
 LAWS = {name: FILTERS[name] for name in (
     "KalmanFilter", "SquareRootKalmanFilter", "ParticleFilter", "MarginalizedParticleFilter", "KalmanParticleKernelFilter",
     "CostReferenceParticleFilter", "JumpMarkovFilter")}  # fmt: skip
 """One filter for each kind of law: for how the loop carries a law on."""
-SHARED = {name for name in FILTERS if ", " in name or name.startswith((
-    "Ensemble", "GaussianParticle", "GaussianSum", "CostReference", "Interacting", "JumpMarkov", "Auxiliary"))}  # fmt: skip
-"""Variants, and filters whose stages are made of what others have, too: some questions they are asked by night alone."""
+SHARED = {name for name in FILTERS if shares_stages(name)}
 WITHOUT_PARTICLES = {name for name in FILTERS if name.endswith(("KalmanFilter", "GaussHermiteFilter", "PointMassFilter", "common kernel"))}
 """Filters of which the native engine has nothing."""
 ALL_BUT_THREE = set(FILTERS) - {"KalmanFilter", "ParticleFilter", "MarginalizedParticleFilter"}
@@ -38,6 +37,13 @@ ALL_BUT_THREE = set(FILTERS) - {"KalmanFilter", "ParticleFilter", "MarginalizedP
 def each_of(filters, night=(), native=False):
     """Ask a question of filters, of those named by night; with the native engine of those that have stages in it, or of all."""
     return pytest.mark.parametrize("filter", _cases(filters, night, native))
+
+
+def each_and(name, filters, settings):
+    """Ask it with each setting of another argument; of those that a setting names, by night."""
+    cases = [pytest.param(*case.values, value, id=f"{value}-{case.id}", marks=case.marks)
+             for value, night in settings.items() for case in _cases(filters, night, False)]  # fmt: skip
+    return pytest.mark.parametrize(("filter", name), cases)
 
 
 def each_in_both_precisions(filters, night=(), double_by_night=(), native=False):
@@ -80,7 +86,7 @@ def test_every_filter_is_found_and_documented():
         assert getattr(mo, cls.__name__, cls) is cls
 
 
-@each_in_both_precisions(FILTERS, double_by_night=SHARED - set(CLASSES))
+@each_in_both_precisions(FILTERS, double_by_night=VARIANTS)
 def test_law_keeps_its_form(filter, precision):
     model = linear()
     engine = Engine(random.as_key(0), filter, model)
@@ -173,7 +179,7 @@ def test_checkpoint_brings_back_the_same_bits(filter, tmp_path):
     assert same_bits(likelihood(again), likelihood(whole))
 
 
-@each_of(FILTERS)
+@each_of(FILTERS, VARIANTS)
 def test_vmap_over_keys(filter):
     model = linear()
     ys = jnp.asarray(data(model))
@@ -215,7 +221,7 @@ def test_nothing_measured_is_predict_only(filter, precision):
         assert same_bits(jax.jit(lambda m, c: Engine(key, filter, m).move(c, None))(model, carry).state, stepped.state)
 
 
-@each_of(FILTERS)
+@each_of(FILTERS, VARIANTS)
 def test_missing_components_equal_the_marginal_model(filter, double):
     """Patterns of NaN in six components: the update equals that of a model that never had those components (N7)."""
     full = linear(range(6))
@@ -259,10 +265,8 @@ def test_second_call_does_not_trace_again(filter):
     assert len(calls) <= count + 2 and running._run._cache_size() == compiled
 
 
-@each_of(CLASSES)
-@pytest.mark.parametrize(("size", "policy"), [
-    *product([10.0, 1e3, 1e6], ["predict"]), (10.0, "inflate"), (1e3, "inflate"), pytest.param(1e6, "inflate", marks=pytest.mark.night),
-])
+@each_and("policy", CLASSES, {"predict": (), "inflate": SHARED})
+@pytest.mark.parametrize("size", [10.0, 1e3, 1e6])
 def test_one_outlier_is_survived(filter, policy, size):
     """N5: after an outlier of many standard deviations everything stays finite and the error comes back under 3 sigma."""
     filter = record.replace(filter, on_collapse=policy)
@@ -347,7 +351,7 @@ def test_extreme_weights_have_documented_outcomes(filter, case, collapses):
     assert np.isfinite(np.asarray(history.mean)).all()
 
 
-@each_of({name: example(cls) for name, cls in filter_classes().items()})
+@each_of({name: example(cls) for name, cls in filter_classes().items()}, SHARED)
 def test_smallest_sizes(filter):
     """N8: one and three particles; one state; more measurements than states; one step."""
     cls = type(filter)
@@ -365,7 +369,7 @@ def test_smallest_sizes(filter):
     assert mo.run(0, example(cls, **grid), scalar, np.ones((3, 2))).mean.shape == (3, 1)
 
 
-@each_of(WITH_A_LIKELIHOOD)
+@each_of(WITH_A_LIKELIHOOD, SHARED)
 def test_likelihood_can_be_differentiated(filter, double):
     model = linear()
     ys = jnp.asarray(data(model, 4))

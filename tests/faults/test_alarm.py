@@ -15,7 +15,7 @@ import pytest
 
 import motes as mo
 from motes.filters import alarm
-from tiers import NIGHT
+from tiers import NIGHT, each
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
 import discovery
@@ -45,7 +45,7 @@ TRUE, FALSE = system(), system(claimed=0.25)
 _, YS = mo.simulate(3, TRUE, 150)
 
 
-@pytest.mark.parametrize("name", filters())
+@pytest.mark.parametrize("name", each(list(filters()), set(filter(discovery.shares_stages, filters()))))
 def test_every_filter_has_the_alarm(name):
     """Silent where the model is right; with R four times too small it rings, about when it does for the exact filter."""
     filter = filters()[name]

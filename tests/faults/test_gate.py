@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import motes as mo
+from tiers import each
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
 import discovery
@@ -78,7 +79,8 @@ OTHERS = ("PointMassFilter", "CostReferenceParticleFilter", "SkeletonFilter")
 
 
 @pytest.mark.parametrize("engine", ["jax", "native"])
-@pytest.mark.parametrize("name", [name for name in discovery.filter_classes() if name not in OTHERS])
+@pytest.mark.parametrize("name", each([name for name in discovery.filter_classes() if name not in OTHERS],
+                                      set(filter(discovery.shares_stages, discovery.filter_classes()))))
 def test_an_infinite_variance_is_no_measurement(name, engine):
     filter = discovery.example(discovery.filter_classes()[name])
     if engine == "native" and not hasattr(filter, "n"):
