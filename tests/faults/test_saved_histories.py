@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import motes as mo
-from contract.discovery import examples
+from contract.discovery import examples, is_variant
 from contract.models import linear
 from motes.filters import history as histories
+from tiers import each
 
 MODEL = linear()
 YS = np.array(mo.simulate(0, MODEL, 6)[1])
@@ -25,7 +26,7 @@ def shaped(filter, steps=4):
     return jax.tree.map(lambda leaf: jnp.ones(leaf.shape, leaf.dtype), like)
 
 
-@pytest.mark.parametrize("name", examples())
+@pytest.mark.parametrize("name", each(list(examples()), set(filter(is_variant, examples()))))
 def test_laws_of_every_filter_come_back(name, tmp_path):
     history = shaped(examples()[name])
     loaded = mo.History.load(history.save(tmp_path / "h.npz"))
