@@ -33,7 +33,7 @@ def gain(x):
     return np.abs((np.asarray(x.value) - EXACT) / np.asarray(x.error))
 
 
-def by(name, key, n=20_000):
+def by(name, key, n=6_000):
     if name == "plain":
         return montecarlo.expectation(key, polynomial, LAW, n)
     if name == "normalized":
