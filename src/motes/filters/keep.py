@@ -1,10 +1,14 @@
 """What a run keeps of each step: functions of the law that return a dictionary of arrays. Any function of that form will do."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
 
 from motes.core import checks
+
+Keep = Callable[[Any], dict[str, Any]]
 
 
 def moments(law: Any) -> dict[str, jax.Array]:
@@ -22,15 +26,27 @@ def laws(law: Any) -> dict[str, Any]:
     return {"mean": law.mean(), "cov": law.cov(), "law": law}
 
 
-def modes(law: Any) -> dict[str, jax.Array]:
-    """Keep mean, covariance and the probabilities of the modes `(m,)`; for the filters of jump-Markov systems.
+def modes(law: Any, count: int = 0) -> dict[str, jax.Array]:
+    """Keep mean, covariance and the probabilities of the modes `(m,)`; for jump-Markov systems.
+
+    Args:
+        law: of a filter for jump-Markov systems, or a cloud of a joined model.
+        count: number of modes of the joined model; `run` knows it.
 
     Raises:
         MotesError: the law knows no modes.
     """
-    if not hasattr(law, "mode_probabilities"):
-        checks.refuse("keep.modes", "a filter of jump-Markov systems", f"one whose law is a {type(law).__name__}")
-    return {**moments(law), "mode_probabilities": law.mode_probabilities()}
+    if hasattr(law, "mode_probabilities"):
+        return {**moments(law), "mode_probabilities": law.mode_probabilities()}
+    if count and hasattr(law, "chances"):
+        return {**moments(law), "mode_probabilities": law.chances(count)}
+    given = f"one whose law is a {type(law).__name__}" + ("" if count else ", of a model without modes")
+    checks.refuse("keep.modes", "a filter of jump-Markov systems, or a cloud of a joined model", given)
+
+
+def told(keep: Keep, count: int) -> Keep:
+    """Return what to keep in a run of a joined model of so many modes; 0 for any other model."""
+    return partial(modes, count=count) if keep is modes else keep
 
 
 def nothing(law: Any) -> dict[str, jax.Array]:

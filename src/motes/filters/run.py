@@ -18,6 +18,7 @@ from motes.filters import alarm, notices, precision
 from motes.filters import keep as keeping
 from motes.filters.history import Carry, History
 from motes.filters.interface import Filter, Info
+from motes.filters.keep import Keep
 from motes.filters.needs import as_state_space
 from motes.io import archive
 from motes.laws.conditional import Conditional
@@ -28,8 +29,6 @@ from motes.models.programs import Beside
 from motes.models.state_space import Previous, StateSpaceModel, at_step, checked_inputs, circular, decorrelated, measurement_size
 from motes.native import report
 from motes.resampling import gradients
-
-Keep = Callable[[Any], dict[str, Any]]
 
 
 def run(
@@ -137,6 +136,8 @@ def _run(
 
 
 def _scanned(engine: "Engine", ys: jax.Array, inputs: Inputs, keep: Keep, first: Carry | None) -> History:
+    keep = keeping.told(keep, getattr(engine.given, "modes", 0))
+
     def advance(held: tuple[Carry, Any], after: Any) -> tuple[tuple[Carry, Any], tuple[Any, Info]]:
         carry, now = held
         carry, info = engine.step(carry, *now)

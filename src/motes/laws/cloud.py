@@ -7,6 +7,7 @@ from motes.core import engine, logspace, random, sums
 from motes.core.record import record, replace
 from motes.laws.circular import gathered
 from motes.laws.law import Law
+from motes.laws.switching import number_of, shares
 
 
 @engine.replaceable
@@ -62,6 +63,10 @@ class Cloud(Law):
     def cov(self) -> jax.Array:
         """Weighted covariance, `(x, x)`."""
         return weighted_moments(self.log_weights, self.particles)[1]
+
+    def chances(self, count: int) -> jax.Array:
+        """Probabilities `(count,)` of so many modes, the index of which is the last state (see `JumpMarkovModel.joined`)."""
+        return shares(number_of(self.particles[-1], count), self.weights, count)
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n particles with replacement, `(x, n)`."""

@@ -45,6 +45,8 @@ class Conditional(ABC):
     """The law of a vector given a state, the inputs and the step index."""
 
     angles: tuple[int, ...] = ()
+    modes: int = 0
+    """Number of modes of a jump-Markov system, the index of which is then the last component; 0 where none is."""
     marginalizes: bool = True
     """Whether single missing (NaN) components can be left out of the density."""
 

@@ -1,10 +1,10 @@
 """Mixtures of Gaussians each of which belongs to a mode: the law of the filters for jump-Markov systems."""
 
 import jax
-import jax.numpy as jnp
 
 from motes.core.record import record, replace, static
 from motes.laws.mixture import Mixture
+from motes.laws.switching import shares
 
 
 @record
@@ -23,8 +23,7 @@ class ModeMixture(Mixture):
 
     def mode_probabilities(self) -> jax.Array:
         """Probabilities of the modes, `(m,)`."""
-        numbers = jnp.arange(self.count, dtype=self.modes.dtype)
-        return jnp.sum(jnp.where(self.modes == numbers[:, None], self.weights, 0), axis=1)
+        return shares(self.modes, self.weights, self.count)
 
     def picked(self, ancestors: jax.Array) -> "ModeMixture":
         """Return the mixture of the named components `(n,)` with their modes, and with equal weights."""

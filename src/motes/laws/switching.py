@@ -23,17 +23,23 @@ def transition_matrix(transition: Any, u: Any, t: Any, dtype: Any) -> jax.Array:
     return jnp.asarray(transition(u, t) if callable(transition) else transition).astype(dtype)
 
 
-def _number(modes: jax.Array, count: int) -> jax.Array:
+def number_of(modes: jax.Array, count: int) -> jax.Array:
     """Turn modes that stand among the states into indices."""
     return jnp.clip(jnp.round(modes), 0, count - 1).astype(jnp.int32)
 
 
-def _of_mode(modes: jax.Array, each: list[jax.Array]) -> jax.Array:
-    """Pick, for each particle `(n,)`, what its mode gives; particle axis last."""
+def of_mode(modes: jax.Array, each: list[jax.Array]) -> jax.Array:
+    """Pick, for each particle `(n,)`, what its mode gives; `each` holds what every mode does, particle axis last."""
     result = each[0]
     for number, other in enumerate(each[1:], 1):
         result = jnp.where(modes == number, other, result)
     return result
+
+
+def shares(modes: jax.Array, weights: jax.Array, count: int) -> jax.Array:
+    """Weight `(count,)` of those in each mode, of modes `(n,)` as indices and weights `(n,)`."""
+    numbers = jnp.arange(count, dtype=modes.dtype)
+    return jnp.sum(jnp.where(modes == numbers[:, None], weights, 0), axis=1)
 
 
 def _drawn(key: jax.Array, rows: jax.Array) -> jax.Array:
@@ -74,13 +80,13 @@ class SwitchingLaw(Law):
         """Draw n points, `(x + 1, n)`."""
         rows = jnp.broadcast_to(self.probabilities[:, None], (len(self.laws), n))
         modes = _drawn(random.child(key, 0), rows)
-        points = _of_mode(modes, [law.sample(random.child(key, 1), n) for law in self.laws])
+        points = of_mode(modes, [law.sample(random.child(key, 1), n) for law in self.laws])
         return jnp.concatenate([points, modes[None].astype(points.dtype)])
 
     def log_prob(self, value: jax.Array) -> jax.Array:
         """Log density at `(x + 1,)` or `(x + 1, n)`."""
-        modes = _number(value[-1], len(self.laws))
-        return log_chances(self.probabilities)[modes] + _of_mode(modes, [law.log_prob(value[:-1]) for law in self.laws])
+        modes = number_of(value[-1], len(self.laws))
+        return log_chances(self.probabilities)[modes] + of_mode(modes, [law.log_prob(value[:-1]) for law in self.laws])
 
 
 @record
@@ -97,23 +103,28 @@ class SwitchingDynamics(Conditional):
     parts: tuple[Conditional, ...]
     angles: tuple[int, ...] = static(default=())
 
+    @property
+    def modes(self) -> int:  # type: ignore[override]
+        """Number of modes."""
+        return len(self.parts)
+
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Refuse: a Gaussian says little of a mode."""
         _refuse_moments()
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Draw one state for each particle, `(x + 1, n)`."""
-        rows = transition_matrix(self.transition, u, t, X.dtype)[_number(X[-1], len(self.parts))].T
+        rows = transition_matrix(self.transition, u, t, X.dtype)[number_of(X[-1], len(self.parts))].T
         modes = _drawn(random.child(key, 0), rows)
         # one block of noise serves all modes, since each particle takes what only one of them gives
-        moved = _of_mode(modes, [part.sample(random.child(key, 1), X[:-1], u, t) for part in self.parts])
+        moved = of_mode(modes, [part.sample(random.child(key, 1), X[:-1], u, t) for part in self.parts])
         return jnp.concatenate([moved, modes[None].astype(X.dtype)])
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density given each particle; see `Conditional`."""
-        before, after = (_number(modes, len(self.parts)) for modes in (X[-1], value[-1]))
+        before, after = (number_of(modes, len(self.parts)) for modes in (X[-1], value[-1]))
         chances = log_chances(transition_matrix(self.transition, u, t, X.dtype))[before, after]
-        return chances + _of_mode(after, [part.log_prob(value[:-1], X[:-1], u, t) for part in self.parts])
+        return chances + of_mode(after, [part.log_prob(value[:-1], X[:-1], u, t) for part in self.parts])
 
 
 @record
@@ -136,7 +147,7 @@ class SwitchingSensor(Conditional):
         _refuse_moments()
 
     def _each(self, X: jax.Array, ask: Callable[[Conditional, jax.Array], jax.Array]) -> jax.Array:
-        return _of_mode(_number(X[-1], len(self.parts)), [ask(part, X[:-1]) for part in self.parts])
+        return of_mode(number_of(X[-1], len(self.parts)), [ask(part, X[:-1]) for part in self.parts])
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Draw one measurement for each particle, `(y, n)`."""

@@ -83,6 +83,11 @@ class StateSpaceModel:
         """Indices of the states that are angles, as the dynamics declare."""
         return tuple(sorted({int(a) % self.size for a in self.dynamics.angles}))
 
+    @property
+    def modes(self) -> int:
+        """Number of modes, the index of which is the last state, of a joined jump-Markov model; 0 of any other."""
+        return self.dynamics.modes
+
     def initial_log_prob(self, X: jax.Array) -> jax.Array:
         """Log density of x_0 at `(x,)` or `(x, n)`; states that are angles may be given on any branch."""
         return self.initial.log_prob(near(X, self.initial.mean(), self.circular) if self.circular else X)

@@ -56,6 +56,10 @@ class AdditiveCloud(Law):
         """Covariance of the state, `(x, x)`."""
         return self.cloud.cov()
 
+    def chances(self, count: int) -> jax.Array:
+        """Probabilities of modes, `(count,)`; see `Cloud.chances`."""
+        return self.cloud.chances(count)
+
     def gathered(self, angles: tuple[int, ...]) -> "AdditiveCloud":
         """Return the law with particles on one branch of the states that are angles; the sums are the user's."""
         return AdditiveCloud(self.cloud.gathered(angles), self.sums)
