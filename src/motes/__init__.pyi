@@ -124,6 +124,7 @@ from .smoothers.backward_simulation import BackwardSimulationSmoother as Backwar
 from .smoothers.genealogy import GenealogySmoother as GenealogySmoother
 from .smoothers.interface import Smoothed as Smoothed
 from .smoothers.interface import Smoother as Smoother
+from .smoothers.mixture import MixtureSmoother as MixtureSmoother
 from .smoothers.parents import ExactParents as ExactParents
 from .smoothers.parents import RejectedParents as RejectedParents
 from .smoothers.parents import SteppedParents as SteppedParents

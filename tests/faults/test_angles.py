@@ -151,6 +151,8 @@ SMOOTHERS = {
     "BackwardSimulationSmoother, rejected": (CLOUD, mo.BackwardSimulationSmoother(n=100, parents=mo.RejectedParents())),
     "GenealogySmoother": (CLOUD, mo.GenealogySmoother()),
     "GenealogySmoother, lag": (CLOUD, mo.GenealogySmoother(lag=2)),
+    "MixtureSmoother": (mo.JumpMarkovFilter(n=100, sampled=("a",)), mo.MixtureSmoother(n=60)),
+    "MixtureSmoother, kernels": (mo.KalmanParticleKernelFilter(n=100), mo.MixtureSmoother(n=60)),
     "RaoBlackwellizedSmoother": (mo.MarginalizedParticleFilter(n=100), mo.RaoBlackwellizedSmoother(n=60)),
     "RauchTungStriebelSmoother": (mo.ExtendedKalmanFilter(), mo.RauchTungStriebelSmoother()),
     "RauchTungStriebelSmoother, sigma": (mo.UnscentedKalmanFilter(), mo.RauchTungStriebelSmoother("sigma")),

@@ -41,7 +41,7 @@ SMOOTHED = {
     "KalmanFilter": [mo.RauchTungStriebelSmoother(), mo.BackwardSimulationSmoother(5)],
     "ParticleFilter": [mo.GenealogySmoother(), mo.BackwardSimulationSmoother(5)],
     "MarginalizedParticleFilter, one state": [mo.RaoBlackwellizedSmoother(5)],
-    "JumpMarkovFilter": [],
+    "JumpMarkovFilter": [mo.MixtureSmoother(5)],
 }
 
 

@@ -16,9 +16,9 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, static
 from motes.filters.history import History
 from motes.filters.needs import as_state_space
-from motes.laws.cloud import Cloud, draw, weighted_moments
+from motes.laws.cloud import Cloud, draw
 from motes.models.state_space import StateSpaceModel, at_step
-from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_backward_density, ask_laws
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_backward_density, ask_laws, summed_up
 from motes.smoothers.parents import ExactParents, Move, Parents
 
 
@@ -52,7 +52,7 @@ class BackwardSimulationSmoother(Smoother):
         Raises:
             MotesError: one is missing.
         """
-        ask_laws("BackwardSimulationSmoother", history, Cloud, "Use RauchTungStriebelSmoother or RaoBlackwellizedSmoother.")
+        ask_laws("BackwardSimulationSmoother", history, Cloud)
         model = as_state_space("BackwardSimulationSmoother", model)
         ask_backward_density("BackwardSimulationSmoother", model)
         self.parents.check(model.dynamics)
@@ -76,5 +76,5 @@ class BackwardSimulationSmoother(Smoother):
         _, earlier = jax.lax.scan(back, start, rows, reverse=True)
         paths = jnp.concatenate([earlier, start[0][None]])
         equal = logspace.uniform_weights(self.n, paths.dtype)
-        mean, cov = jax.vmap(lambda X: weighted_moments(equal, X))(paths)
-        return Smoothed(mean, cov, paths, equal)
+        mean, cov, chances = jax.vmap(lambda X: summed_up(equal, X, model.modes))(paths)
+        return Smoothed(mean, cov, paths, equal, chances)

@@ -14,9 +14,9 @@ from motes.core import checks
 from motes.core.record import record, static
 from motes.filters.history import History
 from motes.filters.needs import as_state_space
-from motes.laws.cloud import Cloud, weighted_moments
+from motes.laws.cloud import Cloud
 from motes.models.state_space import StateSpaceModel, at_step
-from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws, summed_up
 
 
 @record
@@ -44,16 +44,16 @@ class GenealogySmoother(Smoother):
         Raises:
             MotesError: the history has none.
         """
-        ask_laws("GenealogySmoother", history, Cloud, "Use RaoBlackwellizedSmoother for marginalized filters.")
+        ask_laws("GenealogySmoother", history, Cloud)
         return as_state_space("GenealogySmoother", model)
 
     def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
         """Follow the ancestors."""
         clouds: Cloud = history.law
-        return _followed(clouds) if self.lag is None else _lagged(clouds, self.lag)
+        return _followed(clouds, model.modes) if self.lag is None else _lagged(clouds, self.lag, model.modes)
 
 
-def _followed(clouds: Cloud) -> Smoothed:
+def _followed(clouds: Cloud, modes: int) -> Smoothed:
     weights = clouds.log_weights[-1]
 
     def back(own: jax.Array, row: Any) -> tuple[jax.Array, jax.Array]:
@@ -62,17 +62,18 @@ def _followed(clouds: Cloud) -> Smoothed:
 
     everyone = jnp.arange(weights.shape[0], dtype=jnp.int32)
     _, paths = jax.lax.scan(back, everyone, (clouds.particles, clouds.ancestors), reverse=True)
-    mean, cov = jax.vmap(lambda X: weighted_moments(weights, X))(paths)
-    return Smoothed(mean, cov, paths, weights)
+    mean, cov, chances = jax.vmap(lambda X: summed_up(weights, X, modes))(paths)
+    return Smoothed(mean, cov, paths, weights, chances)
 
 
-def _lagged(clouds: Cloud, lag: int) -> Smoothed:
+def _lagged(clouds: Cloud, lag: int, modes: int) -> Smoothed:
     count, n = clouds.log_weights.shape
     everyone = jnp.arange(n, dtype=jnp.int32)
 
-    def moments(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def moments(t: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array | None]:
         late = jnp.minimum(t + lag, count - 1)
         own = jax.lax.fori_loop(0, late - t, lambda k, own: clouds.ancestors[late - k][own], everyone)
-        return weighted_moments(clouds.log_weights[late], at_step(clouds.particles, t)[:, own])
+        return summed_up(clouds.log_weights[late], at_step(clouds.particles, t)[:, own], modes)
 
-    return Smoothed(*jax.lax.map(moments, jnp.arange(count)))
+    mean, cov, chances = jax.lax.map(moments, jnp.arange(count))
+    return Smoothed(mean, cov, mode_probabilities=chances)

@@ -4,12 +4,18 @@ from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from motes.core import checks
 from motes.core.record import record, static
 from motes.filters.history import History
 from motes.filters.needs import ask_density
+from motes.laws.cloud import Cloud, weighted_moments
+from motes.laws.factored import FactoredGaussian
+from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
+from motes.laws.marginal_cloud import MarginalCloud
+from motes.laws.mixture import Mixture
 from motes.models.state_space import StateSpaceModel
 
 
@@ -22,6 +28,8 @@ class Smoothed:
         cov: covariances given all measurements, `(t, x, x)`.
         paths: m whole trajectories drawn given all measurements, `(t, x, m)`; None where the smoother draws none.
         log_weights: of the paths, normalized, `(m,)`; None where there are none.
+        mode_probabilities: of the modes of a jump-Markov system given all measurements, `(t, modes)`; None of another model.
+        modes: modes along the paths, `(t, m)` int32, where they are not the last state of the paths; None otherwise.
         names: names of the states.
         label: the smoother, as it prints.
     """
@@ -30,8 +38,19 @@ class Smoothed:
     cov: jax.Array
     paths: jax.Array | None = None
     log_weights: jax.Array | None = None
+    mode_probabilities: jax.Array | None = None
+    modes: jax.Array | None = None
     names: tuple[str, ...] = static(default=())
     label: str = static(default="")
+
+
+_SMOOTHED: dict[tuple[type[Law], ...], str] = {
+    (Gaussian, FactoredGaussian): "RauchTungStriebelSmoother",
+    (Cloud,): "BackwardSimulationSmoother",
+    (MarginalCloud,): "RaoBlackwellizedSmoother",
+    (Mixture,): "MixtureSmoother",
+}
+"""Which smoother takes laws of a kind: the one place that says so, so that no hint leads from one refusal to the next."""
 
 
 class Steps(NamedTuple):
@@ -87,18 +106,31 @@ class Smoother(ABC):
         """Smooth; `model` is what `prepare` gave."""
 
 
-def ask_laws(asked_by: str, history: History, kind: type[Law], hint: str) -> None:
-    """Refuse a history whose laws are of another kind or were not kept.
+def ask_laws(asked_by: str, history: History, *kinds: type[Law]) -> None:
+    """Refuse a history whose laws are of other kinds, naming what smooths them, or were not kept.
 
     Args:
         asked_by: the smoother, for the message.
         history: the history.
-        kind: the kind of law that the smoother works with.
-        hint: what to use for other laws.
+        kinds: the kinds of law that the smoother works with.
     """
-    if not isinstance(history.state, kind):
-        checks.refuse(f"{asked_by} history", f"laws of the kind {kind.__name__}", type(history.state).__name__, hint)
+    ask_kind(asked_by, history, *kinds)
     _ = history.law
+
+
+def ask_kind(asked_by: str, history: History, *kinds: type[Law]) -> None:
+    """Refuse a history whose laws are of other kinds; see `ask_laws`."""
+    law = history.state
+    if not isinstance(law, kinds):
+        fitting = next((name for those, name in _SMOOTHED.items() if isinstance(law, those)), None)
+        hint = f"Use {fitting}." if fitting else f"A {type(law).__name__} cannot be smoothed: run another filter, such as ParticleFilter."
+        checks.refuse(f"{asked_by} history", f"laws of the kind {kinds[0].__name__}", type(law).__name__, hint)
+
+
+def summed_up(log_weights: jax.Array, X: jax.Array, modes: int) -> tuple[jax.Array, jax.Array, jax.Array | None]:
+    """Mean `(x,)` and covariance `(x, x)` of points `(x, n)`, and the probabilities of modes that are the last state, if there are any."""
+    cloud = Cloud(X, log_weights, jnp.arange(X.shape[-1], dtype=jnp.int32))
+    return *weighted_moments(log_weights, X), cloud.chances(modes) if modes else None
 
 
 def ask_backward_density(asked_by: str, model: StateSpaceModel) -> None:

@@ -49,7 +49,7 @@ class RaoBlackwellizedSmoother(Smoother):
         Raises:
             MotesError: the history has no marginal clouds, or the model does not split so.
         """
-        ask_laws("RaoBlackwellizedSmoother", history, MarginalCloud, "Use BackwardSimulationSmoother for clouds.")
+        ask_laws("RaoBlackwellizedSmoother", history, MarginalCloud)
         state: MarginalCloud = history.state
         own = state.particles.shape[0]
         return split(model, tuple(i for i, place in enumerate(state.order) if place >= own), u)

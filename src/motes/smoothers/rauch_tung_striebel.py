@@ -29,7 +29,7 @@ from motes.laws.factored import FactoredGaussian
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize, sigma_points
 from motes.models.state_space import StateSpaceModel, at_step
-from motes.smoothers.interface import Smoothed, Smoother, Steps
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_kind
 
 _ROUNDING = 4.0
 
@@ -59,9 +59,7 @@ class RauchTungStriebelSmoother(Smoother):
         Raises:
             MotesError: one is missing.
         """
-        if not isinstance(history.state, (Gaussian, FactoredGaussian)):
-            checks.refuse("RauchTungStriebelSmoother history", "laws of the kind Gaussian", type(history.state).__name__,
-                          "Use BackwardSimulationSmoother for clouds.")
+        ask_kind("RauchTungStriebelSmoother", history, Gaussian, FactoredGaussian)
         return as_moment_model("RauchTungStriebelSmoother", model)
 
     def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:

@@ -39,7 +39,7 @@ class TwoFilterSmoother(Smoother):
     n: int = static()
     inflation: float = 1.5
     lost = ("dynamics with noise in every direction", "Without it points of the second filter lead to none of the next step: "
-            "use BackwardSimulationSmoother, or RauchTungStriebelSmoother for linear models.")  # fmt: skip
+            "use BackwardSimulationSmoother, or run a KalmanFilter where the model is linear.")  # fmt: skip
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -57,7 +57,7 @@ class TwoFilterSmoother(Smoother):
         Raises:
             MotesError: one is missing.
         """
-        ask_laws("TwoFilterSmoother", history, Cloud, "Use RauchTungStriebelSmoother or RaoBlackwellizedSmoother.")
+        ask_laws("TwoFilterSmoother", history, Cloud)
         model = as_particle_model("TwoFilterSmoother", model, transition_density=False)
         ask_backward_density("TwoFilterSmoother", model)
         return model

@@ -1,0 +1,148 @@
+"""Backward simulation from mixtures of Gaussians (Fong, Godsill, Doucet, West 2002), after filters of jump-Markov systems.
+
+Trajectories of state and mode are drawn backward. With (x', s') drawn at the next step, component i of the filtered mixture, which is in
+mode s_i, is taken with probability
+
+    w_i transition[s_i, s'] N(x'; f(m_i), F P_i F' + Q),   f, F and Q those of mode s'
+
+and x is drawn from its Gaussian, conditioned on x'. Means and covariances are those of these Gaussians, and probabilities of modes are sums
+of these weights, not those of the draws, so that less is left to chance. For linear modes a trajectory is a draw from the joint law given
+all measurements if the filter's law was exact; F is the slope at m_i elsewhere.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, logspace, pairs, random
+from motes.core.record import record, replace, static
+from motes.filters.history import History
+from motes.filters.needs import as_jump_markov
+from motes.laws.circular import wrap
+from motes.laws.cloud import draw, pick
+from motes.laws.density import log_normal, noiseless
+from motes.laws.gaussian import Gaussian
+from motes.laws.mixture import Mixture
+from motes.laws.mode_mixture import ModeMixture
+from motes.laws.switching import of_mode
+from motes.models import linearize
+from motes.models.jump_markov import JumpMarkovModel
+from motes.models.state_space import at_step
+from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws
+from motes.smoothers.parents import FOLLOWED
+
+
+class _Move(NamedTuple):
+    """Where the components of a mixture go in one mode: values `(x, n)`, slopes and covariances of the noise `(x, x, n)`."""
+
+    prediction: jax.Array
+    slope: jax.Array
+    noise: jax.Array
+
+
+class _Drawn(NamedTuple):
+    """States `(x, m)` and modes `(m,)` of m trajectories at one step."""
+
+    states: jax.Array
+    modes: jax.Array
+
+
+@record
+class MixtureSmoother(Smoother):
+    """Backward simulation from mixtures of Gaussians; it gives probabilities of modes too.
+
+    It works with the laws of `JumpMarkovFilter` and `InteractingMultipleModel`, and with those of Gaussian sums and kernels, as one mode.
+
+    Attributes:
+        n: number of trajectories.
+    """
+
+    n: int = static()
+    lost = ("states that a component leads to", "Dynamics without noise in some direction lead from drawn states to others than were kept: "
+            "use more particles, or give it a little noise.")  # fmt: skip
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number.
+        """
+        checks.positive_integer("MixtureSmoother n", self.n)
+
+    def prepare(self, model: Any, history: History, u: Any) -> JumpMarkovModel:
+        """Ask for mixtures, and for means and covariances of the dynamics of every mode.
+
+        Raises:
+            MotesError: one is missing.
+        """
+        ask_laws("MixtureSmoother", history, Mixture)
+        model = as_jump_markov("MixtureSmoother", model)
+        modes = getattr(history.state, "count", 1)
+        if modes != model.count:
+            checks.refuse("MixtureSmoother model", f"the model of the run, of {modes} modes", f"one of {model.count}")
+        return model
+
+    def smooth(self, key: jax.Array, model: JumpMarkovModel, history: History, steps: Steps) -> Smoothed:
+        """Draw trajectories backward."""
+        laws = _with_modes(history.law, model.count)
+        last: ModeMixture = at_step(laws, -1)
+        opening = random.step_key(key, steps.t[-1])
+        first = last.picked(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
+        start = _Drawn(first.parts.sample(random.child(opening, random.NOISE), self.n), first.modes)
+        equal = logspace.uniform_weights(self.n, start.states.dtype)
+
+        def back(after: _Drawn, row: Any) -> tuple[_Drawn, tuple[jax.Array, ...]]:
+            law, u, t, t_after = row
+            own = random.step_key(key, t)
+            informed, modes, chances = self._informed(random.child(own, random.RESAMPLE), model, law, after, u, t_after)
+            before = _Drawn(informed.sample(random.child(own, random.NOISE), self.n), modes)
+            whole = Mixture(informed, equal).gathered(model.circular)
+            return before, (whole.mean(), whole.cov(), before.states, modes, chances)
+
+        rows = *jax.tree.map(lambda leaf: leaf[:-1], (laws,)), jax.tree.map(lambda leaf: leaf[1:], steps.u), steps.t[:-1], steps.t[1:]
+        _, earlier = jax.lax.scan(back, start, rows, reverse=True)
+        ending = (last.mean(), last.cov(), *start, last.mode_probabilities())
+        mean, cov, paths, modes, chances = (jnp.concatenate([some, one[None]]) for some, one in zip(earlier, ending, strict=True))
+        found = Smoothed(mean, cov, paths, equal)
+        return replace(found, mode_probabilities=chances, modes=modes) if isinstance(history.state, ModeMixture) else found
+
+    def _informed(
+        self, key: jax.Array, model: JumpMarkovModel, law: ModeMixture, after: _Drawn, u: Any, t: Any
+    ) -> tuple[Gaussian, jax.Array, jax.Array]:
+        """Draw a component for each trajectory, and condition its Gaussian on what follows.
+
+        Returns:
+            The Gaussians, NaN where no component leads to what follows; the modes of the components `(m,)`; and the probabilities of the
+            modes `(modes,)`.
+        """
+        moves = [_Move(*linearize.affine_each(part.dynamics, law.parts.center, u, t)) for part in model.models]
+        covs = [linalg.add(linalg.sandwich(move.slope, law.parts.covariance), move.noise) for move in moves]
+        chances = model.log_transition(u, t)[law.modes]
+        size = jnp.max(jnp.abs(jnp.concatenate([after.states, *(move.prediction for move in moves)], axis=1)), axis=1)
+
+        def weights(state: jax.Array, mode: jax.Array, trusted: float | None) -> jax.Array:
+            each = [log_normal(wrap(state[:, None] - move.prediction, model.circular), cov, None, size, noiseless(move.noise), trusted)
+                    for move, cov in zip(moves, covs, strict=True)]  # fmt: skip
+            possible = law.log_weights > -jnp.inf
+            return jnp.where(possible, law.log_weights + chances[:, mode] + of_mode(mode, each), -jnp.inf)
+
+        def parent(row: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array, jax.Array]:
+            state, mode, point = row
+            strict, loose = (weights(state, mode, trusted) for trusted in (None, FOLLOWED))
+            own, total = logspace.normalize(jnp.where(jnp.any(jnp.isfinite(strict)), strict, loose))
+            return pick(jnp.exp(own), point), jnp.isfinite(total), replace(law, log_weights=own).mode_probabilities()
+
+        points = random.uniform(key, (self.n,), size.dtype)
+        parents, known, shares = pairs.against_all(parent, (after.states.T, after.modes, points), model.count * law.log_weights.shape[0])
+        chosen = law.picked(parents)
+        move = _Move(*(of_mode(after.modes, [leaf[..., parents] for leaf in leaves]) for leaves in zip(*moves, strict=True)))
+        done = chosen.parts.corrected(wrap(after.states - move.prediction, model.circular), move.slope, move.noise).law
+        return Gaussian(jnp.where(known, done.center, jnp.nan), done.covariance), chosen.modes, jnp.mean(shares, axis=0)
+
+
+def _with_modes(laws: Mixture, count: int) -> ModeMixture:
+    """Return mixtures with the modes of their components; those that have none are all in one."""
+    if isinstance(laws, ModeMixture):
+        return laws
+    return ModeMixture(laws.parts, laws.log_weights, jnp.zeros(laws.log_weights.shape, jnp.int32), count)
