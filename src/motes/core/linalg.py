@@ -260,4 +260,4 @@ def log_determinant(lower: jax.Array) -> jax.Array:
 
 def diagonal_of(a: jax.Array) -> jax.Array:
     """Diagonal `(i, *n)` of `(i, i, *n)`."""
-    return jnp.stack([a[i, i] for i in range(a.shape[0])])
+    return jnp.stack([a[i, i] for i in range(a.shape[0])]) if a.shape[0] else jnp.zeros((0, *a.shape[2:]), a.dtype)

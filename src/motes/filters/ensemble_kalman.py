@@ -36,6 +36,7 @@ class EnsembleKalmanFilter(TwoStageFilter):
     """
 
     weighs = False
+    descends = False
     guide = Guide(
         needs="dynamics that can be drawn from, a sensor with a mean function and a noise covariance",
         cost="n calls of each function",

@@ -16,7 +16,7 @@ from motes.filters.interface import Info
 from motes.io import archive
 from motes.laws.spelled import UnspelledError, restored, spelled
 
-_TRAITS = ("has_evidence", "weighs", "subtracts", "particles", "engine")
+_TRAITS = ("has_evidence", "weighs", "subtracts", "particles", "engine", "descends")
 """What a file says of the filter beside its name; files of version 0.1 have not all of it."""
 
 
@@ -58,6 +58,7 @@ class History:
         particles: how many draws the effective sample size counts; 0 where it counts something else.
         engine: what did the work: "jax", "native", or "native in part" (see `engine` and `explain`).
         circular: indices of the states that are angles in radians.
+        descends: whether each particle of a cloud came from the one that it names as its ancestor.
         rounding: how coarse numbers are beside the noise (`filters/precision.py`), `(2, y)`; None in files of version 0.1.
     """
 
@@ -73,6 +74,7 @@ class History:
     particles: int = static(default=0)
     engine: str = static(default="jax")
     circular: tuple[int, ...] = static(default=())
+    descends: bool = static(default=True)
     rounding: jax.Array | None = None
 
     def _kept(self, name: str) -> Any:

@@ -208,6 +208,8 @@ class Filter(ABC):
     """Whether covariances are corrected by differences, so that priors far wider than the noise cost digits."""
     starves: ClassVar[bool] = False
     """Whether the effective sample size counts n draws, few of which are not enough."""
+    descends: ClassVar[bool] = True
+    """Whether each particle came from the one that it names as its ancestor; not so where nodes stay or members are moved by all others."""
     gate: ClassVar[float | None] = None
     """Probability with which a measurement lies inside the gate where the filter's claims are right; None for no gate. A field of some."""
     guide: ClassVar[Guide]
@@ -234,7 +236,9 @@ class Filter(ABC):
     def traits(self) -> dict[str, Any]:
         """What a history says of its filter."""
         particles = getattr(self, "n", 0) if self.starves else 0
-        return {"has_evidence": self.has_evidence, "weighs": self.weighs, "subtracts": self.subtracts, "particles": particles}
+        descends = self.descends and getattr(getattr(self, "scheme", None), "picks", True)
+        told = {"has_evidence": self.has_evidence, "weighs": self.weighs, "subtracts": self.subtracts}
+        return told | {"particles": particles, "descends": descends}
 
     def check_knobs(self) -> None:  # noqa: B027 (most filters have nothing of their own to check)
         """Refuse values of the filter's own knobs."""

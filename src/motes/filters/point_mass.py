@@ -41,6 +41,7 @@ class PointMassFilter(TwoStageFilter):
         use="one or two states: the exact answer others are held to",
     )
 
+    descends = False
     lower: tuple[float, ...] = static()
     upper: tuple[float, ...] = static()
     nodes: tuple[int, ...] = static()

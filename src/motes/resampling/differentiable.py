@@ -52,6 +52,7 @@ class EntropicTransport(Scheme):
     entropy: float = 0.1
     steps: int = static(default=50)
     has_gradient = True
+    picks = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""

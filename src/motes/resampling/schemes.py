@@ -7,7 +7,7 @@ every boundary is right to about 1e-3 children up to 1e7 particles (Douc, Cappe,
 """
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple, Protocol, TypeVar
+from typing import ClassVar, NamedTuple, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,13 @@ W = TypeVar("W", bound=Weighted)
 
 
 class Scheme(ABC):
-    """A way of drawing ancestors."""
+    """A way of drawing ancestors.
+
+    Attributes:
+        picks: whether a particle is one of those before, as it is; not so where they are mixed.
+    """
+
+    picks: ClassVar[bool] = True
 
     def resampled(self, key: jax.Array, cloud: W, first: jax.Array | None) -> W:
         """Return n particles with the ancestors drawn.

@@ -54,7 +54,7 @@ class BackwardSimulationSmoother(Smoother):
         """
         ask_laws("BackwardSimulationSmoother", history, Cloud)
         model = as_state_space("BackwardSimulationSmoother", model)
-        ask_backward_density("BackwardSimulationSmoother", model)
+        ask_backward_density("BackwardSimulationSmoother", model, history.descends)
         self.parents.check(model.dynamics)
         return model
 

@@ -39,12 +39,15 @@ class GenealogySmoother(Smoother):
             checks.positive_integer("GenealogySmoother lag", self.lag)
 
     def prepare(self, model: Any, history: History, u: Any) -> StateSpaceModel:
-        """Ask for clouds.
+        """Ask for clouds whose particles descend from one another.
 
         Raises:
             MotesError: the history has none.
         """
         ask_laws("GenealogySmoother", history, Cloud)
+        if not history.descends:
+            checks.refuse("GenealogySmoother history", "particles that came from the ancestors they name", history.label or "others",
+                          "Use BackwardSimulationSmoother.")
         return as_state_space("GenealogySmoother", model)
 
     def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:

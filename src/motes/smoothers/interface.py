@@ -133,6 +133,7 @@ def summed_up(log_weights: jax.Array, X: jax.Array, modes: int) -> tuple[jax.Arr
     return *weighted_moments(log_weights, X), cloud.chances(modes) if modes else None
 
 
-def ask_backward_density(asked_by: str, model: StateSpaceModel) -> None:
-    """Refuse dynamics without a density."""
-    ask_density(f"{asked_by} dynamics", model.dynamics, " (paths are drawn backward by it)", "GenealogySmoother needs none.")
+def ask_backward_density(asked_by: str, model: StateSpaceModel, descends: bool = True) -> None:
+    """Refuse dynamics without a density; where particles do not descend from one another nothing else helps."""
+    hint = "GenealogySmoother needs none." if descends else "Without it only clouds of filters that pick particles can be smoothed."
+    ask_density(f"{asked_by} dynamics", model.dynamics, " (paths are drawn backward by it)", hint)

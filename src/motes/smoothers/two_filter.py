@@ -59,7 +59,10 @@ class TwoFilterSmoother(Smoother):
         """
         ask_laws("TwoFilterSmoother", history, Cloud)
         model = as_particle_model("TwoFilterSmoother", model, transition_density=False)
-        ask_backward_density("TwoFilterSmoother", model)
+        ask_backward_density("TwoFilterSmoother", model, history.descends)
+        if model.modes:
+            checks.refuse("TwoFilterSmoother model", "states that a Gaussian can have (points are drawn from one)", "the number of a mode",
+                          "Use BackwardSimulationSmoother.")
         return model
 
     def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
