@@ -76,6 +76,7 @@ from .laws.conditional import LinearGaussian as LinearGaussian
 from .laws.cost_cloud import CostCloud as CostCloud
 from .laws.factored import FactoredGaussian as FactoredGaussian
 from .laws.gaussian import Gaussian as Gaussian
+from .laws.grid_cloud import GridCloud as GridCloud
 from .laws.marginal_cloud import MarginalCloud as MarginalCloud
 from .laws.mixture import Mixture as Mixture
 from .laws.mode_mixture import ModeMixture as ModeMixture

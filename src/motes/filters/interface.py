@@ -50,6 +50,7 @@ class Info:
         freedom: degrees of freedom of `surprise`; 0 where nothing was measured, or where no prediction is known.
         alarm: whether measurements have by now scattered so much more than predicted that the filter's claims are wrong (`alarm.py`).
         gated: 1 where the filter's `gate` left the measurement out, else 0.
+        lost: share of the probability that left the filter's grid on the way to this step; 0 of filters without a grid.
     """
 
     log_evidence: jax.Array
@@ -63,6 +64,7 @@ class Info:
     freedom: jax.Array
     alarm: jax.Array
     gated: jax.Array
+    lost: jax.Array
 
 
 def weigh(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, Info]:
@@ -89,7 +91,7 @@ def judged(found: jax.Array) -> Info:
     unresolved = jnp.abs(highest) * jnp.finfo(found.dtype).eps > 1
     collapsed = ~jnp.isfinite(log_evidence) | (gap > HOPELESS) | unresolved
     none, quiet = jnp.zeros_like(ess), jnp.zeros((), bool)
-    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest, gap, none, none, quiet, jnp.int32(0))
+    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest, gap, none, none, quiet, jnp.int32(0), none)
 
 
 def single(done: Correction) -> Info:

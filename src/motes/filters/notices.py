@@ -11,6 +11,10 @@ SCARCE = 10.0
 """Effective sample size below which a step lives on too few particles to trust; of few particles, a fifth of them."""
 STARVED = 2.0
 """The same, below which estimates after it are not to be trusted: one measurement in a hundred or so takes a sound run below the other."""
+LEFT = 1e-4
+"""Share of the probability that may leave a grid in a run: the log likelihood is off by about so much."""
+GONE = 1e-2
+"""Share that may leave it at one step before estimates there are not to be trusted."""
 
 
 def warn(history: History, before: History | None) -> None:
@@ -24,10 +28,10 @@ def warn(history: History, before: History | None) -> None:
 
 
 def notices(history: History) -> list[Finding]:
-    """Return what a run is warned of: collapse, starvation, coarse numbers, the alarm; the most telling first."""
+    """Return what a run is warned of: collapse, starvation, coarse numbers, a narrow grid, the alarm; the most telling first."""
     coarse = coarseness(history)
     # measurements scatter where numbers are coarse, which has another cure
-    found = [*coarse, collapse(history), starvation(history), None if coarse else alarm(history)]
+    found = [*coarse, collapse(history), leaving(history), starvation(history), None if coarse else alarm(history)]
     return [finding for finding in found if finding is not None]
 
 
@@ -55,6 +59,17 @@ def starvation(history: History) -> Finding | None:
             f" (at step {int(history.start) + worst} {ess[worst]:.2g}).")  # fmt: skip
     advice = "More particles, a proposal that looks ahead, regularization, or a marginalized filter."
     return Finding("starvation", text, advice, bool(ess[worst] < min(STARVED, 0.1 * history.particles)))
+
+
+def leaving(history: History) -> Finding | None:
+    """Tell of probability that left the grid of a filter that has one, or fell between its nodes."""
+    lost = np.asarray(history.info.lost, np.float64)
+    if not lost.sum() > LEFT:
+        return None
+    worst = int(np.argmax(lost))
+    text = f"{lost.sum():.2g} of the probability left the grid, {lost[worst]:.2g} of it at step {int(history.start) + worst}."
+    advice = "Use a wider grid; where its nodes lie no closer than the noise of the dynamics reaches, a finer one."
+    return Finding("narrow grid", text, advice, bool(lost[worst] > GONE))
 
 
 def coarseness(history: History) -> list[Finding]:

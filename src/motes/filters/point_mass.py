@@ -1,6 +1,9 @@
 """Point-mass filter: Bayes' recursion on a grid of one or two dimensions (Bucy, Senne 1971); the exact answer other filters are held to.
 
 Predict: each node's new weight is the sum over all nodes of weight times transition density. Correct: times the likelihood.
+
+The predicted weights times the volume of a cell sum to one less what has left the grid. The law is that of a state on the grid, with
+weights that sum to one; the likelihood counts what has left as explaining nothing, so that it is too small by no more than that explains.
 """
 
 from typing import Any
@@ -18,14 +21,18 @@ from motes.filters.sharp import ask_full_noise, ask_noise
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.laws.density import noiseless, slack
+from motes.laws.gaussian import Gaussian
+from motes.laws.grid_cloud import GridCloud
+from motes.laws.switching import SwitchingDynamics
 from motes.models.state_space import StateSpaceModel
 
 
 @record
 class PointMassFilter(TwoStageFilter):
-    """Point-mass filter; its state is a `Cloud` whose particles are the nodes of a fixed grid.
+    """Point-mass filter; its state is a `GridCloud`, whose particles are the nodes of a fixed grid.
 
-    The cost of a step grows with the square of the number of nodes. The grid must cover the state and be finer than the noise. A step with
+    The cost of a step grows with the square of the number of nodes. The grid must cover the state and be finer than the noise: the share of
+    the probability that has left it, or that falls between its nodes, is counted in `info.lost`, and `run` warns of it. A step with
     no noise at all that leaves every node where it is (two measurements at one time, or states that never change) is exact; other steps
     without noise in some direction miss the nodes: they are refused, or collapse where they are met in the run alone.
 
@@ -73,6 +80,9 @@ class PointMassFilter(TwoStageFilter):
             checks.refuse("PointMassFilter nodes", f"{model.size} dimensions (states of the model)", len(self.nodes))
         for name in ("dynamics", "sensor"):
             ask_density(f"PointMassFilter {name}", getattr(model, name))
+        if model.modes and tuple(axis[-1] for axis in (self.lower, self.upper, self.nodes)) != (0, max(model.modes - 1, 1), model.modes):
+            wanted = f"0, {max(model.modes - 1, 1)} and {model.modes} for the mode (a node for each)"
+            checks.refuse("PointMassFilter lower, upper, nodes", wanted, f"{self.lower[-1]}, {self.upper[-1]} and {self.nodes[-1]}")
         return model
 
     def grid(self, dtype: jnp.dtype) -> jax.Array:
@@ -89,12 +99,27 @@ class PointMassFilter(TwoStageFilter):
         ask_noise(type(self).__name__, model)
         ask_full_noise(type(self).__name__, model)
 
-    def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
-        """Weigh the nodes by the initial density."""
-        cloud = Cloud.equal(self.grid(model.dtype))
-        return replace(cloud, log_weights=logspace.normalize(model.initial_log_prob(cloud.particles))[0])
+    def _cell(self, model: StateSpaceModel) -> float:
+        """Volume of a cell; along the number of a mode, of which there are probabilities and no densities, it counts as one."""
+        axes = list(zip(self.lower, self.upper, self.nodes, strict=True))[: -1 if model.modes else None]
+        return float(np.prod([(high - low) / max(count - 1, 1) for low, high, count in axes]))
 
-    def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
+    def _gridded(self, model: StateSpaceModel, state: GridCloud, density: jax.Array, exact: jax.Array | bool) -> GridCloud:
+        """Weigh the nodes by a density `(n,)`, and count what the grid lacks of it; `exact` where nothing, though it is none."""
+        log_weights, total = logspace.normalize(density)
+        short = 1 - jnp.exp(total) * self._cell(model)
+        lost = jnp.where((short > slack(short.dtype)) & ~jnp.asarray(exact), jnp.minimum(short, 1), 0)
+        return replace(state, log_weights=log_weights, lost=lost, held=state.held * (1 - lost))
+
+    def init(self, key: jax.Array, model: StateSpaceModel) -> GridCloud:
+        """Weigh the nodes by the initial density."""
+        nodes = Cloud.equal(self.grid(model.dtype))
+        state = GridCloud(nodes.particles, nodes.log_weights, nodes.ancestors, jnp.zeros((), model.dtype), jnp.ones((), model.dtype))
+        laws = getattr(model.initial, "laws", (model.initial,))
+        exact = [jnp.any(noiseless(law.covariance)) for law in laws if isinstance(law, Gaussian)]
+        return self._gridded(model, state, model.initial_log_prob(nodes.particles), jnp.any(jnp.array(exact, bool)))
+
+    def predict(self, key: jax.Array, model: StateSpaceModel, state: GridCloud, u: Any, t: Any) -> GridCloud:
         """Sum over all transitions."""
         points = state.particles
 
@@ -102,20 +127,27 @@ class PointMassFilter(TwoStageFilter):
             return jax.nn.logsumexp(model.dynamics.log_prob(node, points, u, t) + state.log_weights)
 
         weights = pairs.against_all(arriving, points.T, points.shape[-1])
-        if isinstance(model.dynamics, AdditiveGaussian):
-            weights = jnp.where(_misses(model.dynamics, points, u, t), jnp.nan, weights)
-        return replace(state, log_weights=logspace.normalize(weights)[0])
+        parts, states = [model.dynamics], points
+        if isinstance(model.dynamics, SwitchingDynamics):
+            parts, states = model.dynamics.parts, points[:-1]
+        found = [_noise(part, states, u, t) for part in parts if isinstance(part, AdditiveGaussian)]
+        some, still = (jnp.stack(each) for each in zip(*found, strict=True)) if found else (jnp.zeros(1, bool),) * 2
+        misses = jnp.any(some) & ~(jnp.all(still) & (len(found) == len(parts)))
+        return self._gridded(model, state, jnp.where(misses, jnp.nan, weights), jnp.any(some))
 
-    def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Weigh the nodes by the likelihood of y."""
+    def correct(
+        self, key: jax.Array, model: StateSpaceModel, state: GridCloud, y: jax.Array, u: Any, t: Any
+    ) -> tuple[GridCloud, Info]:
+        """Weigh the nodes by the likelihood of y; what has left the grid explains nothing of it."""
         likelihood = model.sensor.log_prob(y, state.particles, u, t)
         weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
         found = alarm.of_cloud(key, model.sensor, state.particles, state.log_weights, y, u, t)
-        return replace(state, log_weights=weights), surprised(info, found)
+        info = replace(surprised(info, found), log_evidence=info.log_evidence + jnp.log(state.held), lost=state.lost)
+        return replace(state, log_weights=weights, held=jnp.ones_like(state.held)), info
 
 
-def _misses(dynamics: AdditiveGaussian, points: jax.Array, u: Any, t: Any) -> jax.Array:
-    """Tell whether a step without noise in some direction leads off the nodes `(x, n)`."""
+def _noise(dynamics: AdditiveGaussian, points: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
+    """Tell whether a step has no noise in some direction, and whether it has none at all and leaves the nodes `(x, n)` where they are."""
     without = noiseless(matrix_over(dynamics.Q, points, u, t))
     still = jnp.max(jnp.abs(dynamics.means(points, u, t) - points)) <= slack(points.dtype) * jnp.max(jnp.abs(points))
-    return jnp.any(without) & ~(jnp.all(without) & still)
+    return jnp.any(without), jnp.all(without) & still
