@@ -31,7 +31,7 @@ def quietly(*arguments, **options):
 def test_what_leaves_is_counted_and_taken_into_the_likelihood(double):
     """On a grid of 4 the likelihood is right to 5e-5, renormalized in silence it is 5e-3 too large; gaps in the data included."""
     exact = float(mo.run(0, mo.KalmanFilter(), walk(), YS).log_likelihood)
-    with pytest.warns(mo.MotesWarning, match=r"PointMassFilter: 0\.\d+ of the probability left the grid, .* at step \d+\. Use a wider grid"):
+    with pytest.warns(mo.MotesWarning, match=r"PointMassFilter: 0\.\d+ of the probability left the grid, .* at step \d+\. Use a wider"):
         found = mo.run(0, grid(4.0), walk(), YS)
     silent = float(found.log_likelihood) - float(jnp.sum(jnp.log1p(-found.info.lost)))
     assert abs(float(found.log_likelihood) - exact) < 5e-5 < 1e-3 < silent - exact

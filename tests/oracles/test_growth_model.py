@@ -3,8 +3,10 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import motes as mo
+from motes.core.record import replace
 from motes.models.textbook import growth
 
 
@@ -56,3 +58,29 @@ def test_point_mass_filter_equals_the_kalman_filter_on_linear_models(double):
     grid = mo.run(0, mo.PointMassFilter((-7, -7), (7, 7), (71, 71)), model, ys)
     assert np.abs(grid.mean - exact.mean).max() < 1e-4
     assert np.abs(grid.cov - exact.cov).max() < 1e-4
+
+
+@pytest.mark.parametrize("slope", ["sigma", "jacobian"])
+def test_kernels_stay_on_the_growth_model(slope):
+    """Slopes of 25 at a center let covariances overflow (log likelihood -527 for -160, or NaN); planes and early splits keep near the grid.
+
+    Six runs of 40 steps: each within 0.25 nats a step of the exact likelihood, those split every ten steps only finite, and told of.
+    """
+    model = growth()
+    ys = np.stack([np.asarray(mo.simulate(seed, model, 40)[1]) for seed in range(6)])
+    filter, grid = mo.KalmanParticleKernelFilter(n=200, slope=slope), mo.PointMassFilter(-45.0, 45.0, 300)
+    told = [jax.jit(jax.vmap(lambda y, f=f: (lambda h: (h.log_likelihood, h.mean))(mo.run(1, f, model, y))))(ys) for f in (filter, grid)]
+    (found, means), (exact, wanted) = (tuple(map(np.asarray, each)) for each in told)
+    off = (exact - found) / 40
+    assert np.isfinite(means).all() and off.max() < 0.25
+    assert np.sqrt(np.mean((means - wanted) ** 2)) < 4
+
+
+def test_kernels_that_are_left_to_grow_are_told_of():
+    ys = mo.simulate(9, growth(), 60)[1]
+    with pytest.warns(mo.MotesWarning, match="alarm"):
+        seldom = mo.run(1, mo.KalmanParticleKernelFilter(n=200, every=10), growth(), ys)
+    assert np.isfinite(seldom.mean).all() and np.isfinite(seldom.cov).all() and not mo.diagnose(seldom).trusted
+    # estimates that are no numbers are told of whatever else was found
+    lost = replace(seldom, kept={**seldom.kept, "mean": seldom.mean.at[17:].set(np.nan)})
+    assert "43 steps (first step 17) the estimate is not a number" in str(mo.diagnose(lost)) and not mo.diagnose(lost).trusted

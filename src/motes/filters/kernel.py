@@ -2,7 +2,8 @@
 
 1. Start with kernels that are small in the nonlinear states only; in the others each holds the full initial covariance.
 2. Correct each kernel by the Kalman filter of the sensor linearized over it, and its weight by N(y - y_i; 0, H P H' + R).
-3. Predict each kernel by the dynamics linearized at its center.
+3. Predict each kernel by the dynamics linearized at its center; where their slope varies, by their plane through sigma points, with what it
+   leaves unexplained added to the noise: the slope at a center may be far steeper than the dynamics are over the kernel.
 4. Every few steps, select kernels by weight where the weights are uneven (full resampling; otherwise partial), and split wide kernels:
    centers are drawn, covariances shrink, mean and covariance of the mixture stay (`SplitKernels`, or the paper's `CommonKernel`).
 """
@@ -67,7 +68,8 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         spread: factor on the initial standard deviation of the nonlinear states, so that their tails have kernels too; the
             filter's own prior is wider than the model's by it.
         width: standard deviation of an initial kernel along the nonlinear states, as a share of that of the initial law (times `spread`).
-        every: steps between resamplings.
+        every: steps between resamplings; None for 10 where the slope of the dynamics is the same at every state, and 1 elsewhere, where
+            kernels soon outgrow what a plane fits.
         kernels: how kernels are kept small.
         slope: "sigma": the sensor is regressed on the nonlinear states over sigma points of each kernel, and the variance that the
             slope leaves unexplained is added to R; "jacobian": its slope at the center, which is faster.
@@ -86,7 +88,7 @@ class KalmanParticleKernelFilter(TwoStageFilter):
     nonlinear: tuple[str | int, ...] | None = static(default=None)
     spread: float = 1.3
     width: float = 0.1
-    every: int = static(default=10)
+    every: int | None = static(default=None)
     kernels: Kernels = SplitKernels()
     slope: str = static(default="sigma")
     scheme: Scheme = Systematic()
@@ -98,8 +100,9 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         Raises:
             MotesError: a number is out of range, or a word is unknown.
         """
-        for name in ("n", "every"):
-            checks.positive_integer(f"KalmanParticleKernelFilter {name}", getattr(self, name))
+        checks.positive_integer("KalmanParticleKernelFilter n", self.n)
+        if self.every is not None:
+            checks.positive_integer("KalmanParticleKernelFilter every", self.every)
         checks.above_zero("KalmanParticleKernelFilter spread", self.spread)
         checks.above_zero("KalmanParticleKernelFilter width", self.width, 1.0)
         checks.option("KalmanParticleKernelFilter slope", self.slope, ("sigma", "jacobian"))
@@ -154,15 +157,18 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         """Move the kernels; every few steps select and split them."""
         keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
         example = state.parts.center[:, 0]
+        bends = not model.steady and bool(model.nonlinear)
         shared = _once(t, lambda: linearize.affine(model.dynamics, example, u, t)[1:]) if model.steady else None
 
         def move(noise_key: jax.Array, law: Mixture) -> Mixture:
+            if bends:
+                return replace(law, parts=linearize.moved_over(model.dynamics, model.nonlinear, law.parts, u, t))
             return replace(law, parts=linearize.moved_each(model.dynamics, law.parts, u, t, shared))
 
         def resampled(law: Mixture) -> Mixture:
             return evolve(keys, self.scheme, self.policy, law, self.kernels.fitted(law, model.nonlinear))
 
-        due = t % self.every == 0
+        due = t % (self.every or (10 if model.steady else 1)) == 0
         moved = evolve(keys, self.scheme, Never(), state, move).gathered(model.circular)
         return jax.lax.cond(due, resampled, lambda law: law, moved)
 

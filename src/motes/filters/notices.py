@@ -28,11 +28,24 @@ def warn(history: History, before: History | None) -> None:
 
 
 def notices(history: History) -> list[Finding]:
-    """Return what a run is warned of: collapse, starvation, coarse numbers, a narrow grid, the alarm; the most telling first."""
+    """Return what a run is warned of, the most telling first: numbers that are none or coarse, collapse, a grid, starvation, the alarm."""
     coarse = coarseness(history)
     # measurements scatter where numbers are coarse, which has another cure
-    found = [*coarse, collapse(history), leaving(history), starvation(history), None if coarse else alarm(history)]
+    found = [numbers(history), *coarse, collapse(history), leaving(history), starvation(history), None if coarse else alarm(history)]
     return [finding for finding in found if finding is not None]
+
+
+def numbers(history: History) -> Finding | None:
+    """Tell of estimates that are not numbers, or not finite."""
+    kept = [np.asarray(history.kept[name], np.float64) for name in ("mean", "cov") if name in history.kept]
+    wrong = ~np.isfinite(np.asarray(history.info.log_evidence, np.float64)) & ~np.asarray(history.info.collapsed)
+    for each in kept:
+        wrong |= ~np.isfinite(each).all(axis=tuple(range(1, each.ndim)))
+    steps = np.flatnonzero(wrong)
+    if not steps.size:
+        return None
+    text = f"at {at(history, steps)} the estimate is not a number."
+    return Finding("not a number", text, "Look for what overflows or is undefined there: dynamics or sensor, too wide a law.", True)
 
 
 def collapse(history: History) -> Finding | None:

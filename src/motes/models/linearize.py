@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import linalg
-from motes.laws.conditional import AdditiveGaussian, Conditional, LinearGaussian, matrix
+from motes.laws.conditional import AdditiveGaussian, Conditional, LinearGaussian, matrix, matrix_over
 from motes.laws.density import measured_in
 from motes.laws.gaussian import Correction, Gaussian
 from motes.models.mixed_linear import user_order
@@ -63,6 +63,26 @@ def moved_each(dynamics: Conditional, laws: Gaussian, u: Any, t: Any, shared: tu
     else:
         centers, (slope, noise) = dynamics.means(laws.center, u, t), shared  # type: ignore[attr-defined]
     return Gaussian(centers, linalg.add(linalg.sandwich(slope, laws.covariance), noise))
+
+
+def moved_over(dynamics: AdditiveGaussian, states: Sequence[int], laws: Gaussian, u: Any, t: Any) -> Gaussian:
+    """Move each of a batch of Gaussians by the plane of the dynamics through sigma points in some of the states (see `regressed`).
+
+    Args:
+        dynamics: with additive Gaussian noise.
+        states: indices of the k states over which the plane is laid; in the others its slope is that at the mean.
+        laws: means `(x, n)`, covariances `(x, x, n)`.
+        u: inputs of the step.
+        t: the time moved to.
+    """
+    size = laws.center.shape[0]
+    others = tuple(i for i in range(size) if i not in states)
+    factor = linalg.cholesky(linalg.take(linalg.take(laws.covariance, states), states, axis=1))
+    prediction, tilt, unexplained = regressed(dynamics, states, laws.center, factor, u, t)
+    straight = jax.vmap(lambda x: slope_in(dynamics, others, x, u, t), in_axes=-1, out_axes=-1)(laws.center)
+    slope = linalg.take(jnp.concatenate([straight, untilted(tilt, factor)], axis=1), user_order(tuple(states), size), axis=1)
+    noise = linalg.add(unexplained, matrix_over(dynamics.Q, laws.center, u, t))
+    return Gaussian(prediction, linalg.add(linalg.sandwich(slope, laws.covariance), noise))
 
 
 def measured_each(sensor: Conditional, laws: Gaussian, y: jax.Array, u: Any, t: Any) -> Correction:
