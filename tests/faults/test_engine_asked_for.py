@@ -15,7 +15,7 @@ from motes.native import blocks, report
 from tiers import each
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
-from discovery import examples
+from discovery import examples, is_variant
 
 from models import linear
 

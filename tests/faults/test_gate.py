@@ -29,7 +29,7 @@ def test_every_gaussian_filter_has_a_gate():
     assert kalman | {"MarginalizedParticleFilter", "InteractingMultipleModel", "JumpMarkovFilter"} == set(GATED)
 
 
-@pytest.mark.parametrize("name", GATED)
+@pytest.mark.parametrize("name", each(list(GATED), set(filter(discovery.shares_stages, GATED)) - {"JumpMarkovFilter"}))
 def test_a_wild_fix_is_left_out_and_counted(name):
     got = mo.run(0, discovery.example(GATED[name], gate=0.9999), MODEL, WILD)
     blank = WILD.copy()

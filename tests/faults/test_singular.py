@@ -11,9 +11,10 @@ import pytest
 import motes as mo
 from motes.laws import density
 from motes.laws.conditional import AdditiveNoise
+from tiers import each
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
-from discovery import examples, filter_classes
+from discovery import examples, filter_classes, shares_stages
 
 YS = np.array([[1.2], [1.0], [0.7]])
 
@@ -86,7 +87,7 @@ APART = {"CostReferenceParticleFilter"}
 """It looks at no density."""
 
 
-@pytest.mark.parametrize("name", sorted(filter_classes()))
+@pytest.mark.parametrize("name", each(sorted(filter_classes()), set(filter(shares_stages, filter_classes()))))
 def test_sensor_without_noise_is_exact_or_refused(name):
     filter = examples()[name]
     if name in APART:

@@ -13,9 +13,10 @@ from motes.laws import gaussian
 from motes.laws.mixture import Mixture
 from motes.montecarlo.tempering import _step
 from motes.resampling import reduction
+from tiers import each
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
-from discovery import example, filter_classes
+from discovery import example, filter_classes, shares_stages
 
 UNDERFLOWN = jnp.array([-200.0, -201, -202, -203, -204, -205, -1.0, -0.459])
 
@@ -82,7 +83,7 @@ def means(filter):
     return np.asarray(mo.run(1, filter, reaching(), YS).mean)
 
 
-@pytest.mark.parametrize("name", sorted(filter_classes()))
+@pytest.mark.parametrize("name", each(sorted(filter_classes()), set(filter(shares_stages, filter_classes()))))
 def test_a_void_in_reach_leaves_moments_alone(name):
     """16 percent of the prior lie in it."""
     knobs = {"KalmanParticleKernelFilter": {"nonlinear": ("a", "b"), "every": 1, "n": 2000}}.get(name, {})

@@ -62,6 +62,7 @@ def test_changes_of_yearly_counts_equal_the_exact_ones(coal, recorded):
         assert abs(share.mean() - first[: int(early) + 1].sum()) < 4.9 * mo.mcmc.standard_error(share)
 
 
+@pytest.mark.night
 def test_a_mixture_without_data_has_uniformly_many_components():
     galaxies = runpy.run_path(str(EXAMPLES / "galaxies" / "run.py"))
     log_density, kernel, start = galaxies["problem"](np.zeros(0))

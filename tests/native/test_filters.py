@@ -11,6 +11,7 @@ import pytest
 from native_tools import needs_compiler
 
 import motes as mo
+from tiers import each
 
 T = 0.5
 A = np.eye(6) + T * np.eye(6, k=2) + T * T / 2 * np.eye(6, k=4)
@@ -58,7 +59,7 @@ def runs(filter, model, ys=YS, key=5, **options):
 
 @needs_compiler
 @pytest.mark.parametrize("kind", FILTERS)
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", each(list(MODELS), {"correlated noises", "turning", "linear dynamics"}))
 def test_results_of_jax_without_resampling(kind, name):
     """Nothing is chaotic without resampling: every number of the history agrees."""
     filter = FILTERS[kind](n=1500, policy=mo.Never(), on_collapse="predict")
@@ -89,7 +90,7 @@ def test_likelihood_of_jax_with_resampling(kind, policy):
 
 
 @needs_compiler
-@pytest.mark.parametrize("model", ["linear dynamics", "turning"])
+@pytest.mark.parametrize("model", each(["linear dynamics", "turning"], {"linear dynamics"}))
 @pytest.mark.parametrize("kind", FILTERS)
 def test_same_bits_however_it_runs(kind, model):
     filter, model = FILTERS[kind](n=7000), MODELS[model]
@@ -111,7 +112,7 @@ def test_same_bits_however_it_runs(kind, model):
 
 
 @needs_compiler
-@pytest.mark.parametrize("kind", FILTERS)
+@pytest.mark.parametrize("kind", each(list(FILTERS), {"marginalized"}))
 def test_gradients_are_those_of_jax(kind):
     filter = FILTERS[kind](n=600, policy=mo.Never())
 

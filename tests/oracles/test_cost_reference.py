@@ -78,6 +78,7 @@ def test_every_step_obeys_the_recursion(filter, double):
     assert 0.5 < np.mean(walked**2) < 1.6
 
 
+@pytest.mark.night
 def test_beats_a_filter_that_takes_heavy_tails_for_gaussian():
     """100 paired runs of 40 steps with Student t noise of 1.2 degrees of freedom, told to both as Gaussian of that scale."""
     truth, assumed = beacons(mo.StudentT([0.3] * 3, 1.2)), beacons()

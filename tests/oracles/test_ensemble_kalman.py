@@ -8,13 +8,14 @@ from scipy.stats import norm
 
 import motes as mo
 from oracles.test_linear_gaussian import four_states
+from tiers import each
 
 pytestmark = pytest.mark.jax
 
 RUNS = 60
 
 
-@pytest.mark.parametrize("form", ["deterministic", "stochastic"])
+@pytest.mark.parametrize("form", each(["deterministic", "stochastic"], {"stochastic"}))
 def test_converges_to_the_kalman_filter(form, double):
     """Means over 60 seeds within Monte Carlo error (level 1e-6 over all) and a bias of order 1/n; 16 times the members, a quarter of it."""
     _, model = four_states()

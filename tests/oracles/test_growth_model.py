@@ -23,6 +23,7 @@ def test_particle_filter_is_within_three_percent_of_the_exact_filter():
     assert rmse["particle"] > 0.97 * rmse["exact"]
 
 
+@pytest.mark.night
 def test_guided_filter_agrees_with_the_exact_one(double):
     """A proposal that is not the prior: the weights must hold all three densities."""
     model = mo.StateSpaceModel(

@@ -106,7 +106,8 @@ def bimodal():
 @pytest.mark.parametrize("filter", [
     mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4),
     # a slope at the center alone leaves the curvature over a kernel out of account: it needs smaller kernels
-    mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=1, slope="jacobian", kernels=mo.SplitKernels(cap=0.15)),
+    pytest.param(mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=1, slope="jacobian", kernels=mo.SplitKernels(cap=0.15)),
+                 marks=pytest.mark.night),
     mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4, kernels=mo.CommonKernel(guard=0.05)),
 ], ids=["sigma", "jacobian", "common"])  # fmt: skip
 def test_keeps_both_modes(bimodal, filter):

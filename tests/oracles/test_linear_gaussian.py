@@ -121,6 +121,7 @@ def _summary(history):
     return history.mean, history.log_likelihood
 
 
+@pytest.mark.night
 def test_likelihood_is_unbiased_for_each_scheme_and_policy(double):
     """S3: E[Zhat] / Z = 1 within 4 standard errors over 1000 runs, for every scheme and policy."""
     model = mo.StateSpaceModel(mo.Gaussian([0.3], [[1.0]]), mo.LinearGaussian([[0.8]], [[0.5]]), mo.LinearGaussian([[1.0]], [[0.3]]))

@@ -113,6 +113,7 @@ def test_fully_adapted_filter_has_equal_weights_and_the_exact_evidence(double):
     assert np.allclose(float(after.log_evidence[0]), np.log(np.asarray(before.state.weights) @ each), atol=1e-9)
 
 
+@pytest.mark.night
 def test_looking_ahead_pays_where_the_sensor_is_sharp(double):
     """Variance of the log likelihood: adapted at least 30 times below the bootstrap filter, guided between them."""
     H2, tight = np.eye(2, 3, k=1), np.diag([4e-4, 1e-3])
@@ -147,7 +148,8 @@ NONLINEAR = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "state_noise"), [(n, i % 2 == 1) for i, n in enumerate(NONLINEAR)], ids=NONLINEAR.keys())
+@pytest.mark.parametrize(("name", "state_noise"), [
+    pytest.param(n, i % 2 == 1, marks=[pytest.mark.night] * ("unscented" in n)) for i, n in enumerate(NONLINEAR)], ids=NONLINEAR.keys())
 def test_nonlinear_models_against_the_grid(name, state_noise, double):
     """Noise without a variance (it guides nothing), noise that depends on the state, and an angle that is wrapped."""
     model = curved(state_noise)

@@ -41,6 +41,7 @@ def test_tables_and_pictures_are_written(program, monkeypatch, tmp_path, capsys)
         assert (tmp_path / f"{stem}.csv").read_text().count("\n") == 4 and (tmp_path / f"{stem}.png").stat().st_size > 10_000
 
 
+@pytest.mark.night
 def test_other_maps(program, monkeypatch, tmp_path, capsys):
     data = recorded("terrain/hgt/N44E005.hgt").parents[1]
     monkeypatch.setattr(sys, "argv", ["reproduce.py", "maps", "flat", "--runs", "1", "--data", str(data), "--out", str(tmp_path)])

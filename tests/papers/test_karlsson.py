@@ -61,6 +61,7 @@ def numbers(row, *names):
     return [float(row[name]) for name in names]
 
 
+@pytest.mark.night
 def test_quick_run(known, out, monkeypatch, capsys):
     """All parts run, and what they write fits the clock, the equations and each other."""
     import reproduce

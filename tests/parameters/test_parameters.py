@@ -63,6 +63,7 @@ def test_particle_marginal_metropolis_hastings(exact):
 CORRELATED = mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis(jnp.array([0.2, 0.6])), renewed=0.1)
 
 
+@pytest.mark.night
 def test_correlated_chains(exact):
     posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, scheme=mo.Sorted()), YS)
     chains = mo.sample(0, CORRELATED, posterior, posterior.starts, draws=2_000, chains=8, burn_in=500)
