@@ -26,15 +26,18 @@ GATED = {name: cls for name, cls in discovery.filter_classes().items() if "gate"
 
 def test_every_gaussian_filter_has_a_gate():
     kalman = {name for name, cls in discovery.filter_classes().items() if not cls.weighs}
-    assert kalman | {"MarginalizedParticleFilter", "InteractingMultipleModel", "JumpMarkovFilter"} == set(GATED)
+    others = {"MarginalizedParticleFilter", "InteractingMultipleModel", "JumpMarkovFilter", "GaussianParticleFilter",
+              "GaussianSumParticleFilter", "KalmanParticleKernelFilter"}  # fmt: skip
+    assert kalman | others == set(GATED)
 
 
 @pytest.mark.parametrize("name", each(list(GATED), set(filter(discovery.shares_stages, GATED)) - {"JumpMarkovFilter"}))
 def test_a_wild_fix_is_left_out_and_counted(name):
-    got = mo.run(0, discovery.example(GATED[name], gate=0.9999), MODEL, WILD)
+    knobs = {"nonlinear": ("a",)} if name == "KalmanParticleKernelFilter" else {}
+    got = mo.run(0, discovery.example(GATED[name], gate=0.9999, **knobs), MODEL, WILD)
     blank = WILD.copy()
     blank[6] = np.nan
-    without = mo.run(0, discovery.example(GATED[name]), MODEL, blank)
+    without = mo.run(0, discovery.example(GATED[name], **knobs), MODEL, blank)
     assert np.asarray(got.info.gated).tolist() == [0] * 6 + [1] + [0] * 5
     np.testing.assert_allclose(got.mean, without.mean, rtol=1e-5)
     np.testing.assert_allclose(got.log_likelihood, without.log_likelihood, rtol=1e-5)

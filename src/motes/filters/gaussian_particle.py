@@ -30,6 +30,8 @@ class GaussianParticleFilter(TwoStageFilter):
         n: number of particles.
         redraw: weigh new draws from the predicted Gaussian (the general form); otherwise the moved particles themselves, which spares
             half of the draws and keeps the shape of the prediction (paper 004, steps 1 to 5), but moves only when y is known.
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
     """
 
     starves = True
@@ -41,6 +43,7 @@ class GaussianParticleFilter(TwoStageFilter):
 
     n: int = static()
     redraw: bool = static(default=True)
+    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.

@@ -42,6 +42,8 @@ class GaussianSumParticleFilter(TwoStageFilter):
         reduction: how forms II and III go back to `mixands`: "resample" (unbiased) or "prune" (the heaviest stay, with their weights).
         scheme: how mixands are drawn.
         policy: when mixands are resampled that are not too many.
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
     """
 
     guide = Guide(
@@ -56,6 +58,7 @@ class GaussianSumParticleFilter(TwoStageFilter):
     reduction: str = static(default="resample")
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
+    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.

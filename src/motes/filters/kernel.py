@@ -75,6 +75,8 @@ class KalmanParticleKernelFilter(TwoStageFilter):
             slope leaves unexplained is added to R; "jacobian": its slope at the center, which is faster.
         scheme: how kernels are selected.
         policy: when a resampling selects; otherwise it splits and keeps the weights.
+        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
+            and counts in `info.gated`. None for no gate.
     """
 
     subtracts = True
@@ -93,6 +95,7 @@ class KalmanParticleKernelFilter(TwoStageFilter):
     slope: str = static(default="sigma")
     scheme: Scheme = Systematic()
     policy: Policy = Entropy(0.5)
+    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.
