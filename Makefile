@@ -7,7 +7,7 @@ BENCH := .venv-bench
 NEWEST := .venv-newest
 EXTRAS := all,dev
 
-.PHONY: setup demo test night test-native test-newest lint bench clean
+.PHONY: setup demo check test night test-native test-newest lint bench clean
 
 setup: $(STAMP)
 
@@ -23,6 +23,12 @@ $(STAMP): pyproject.toml
 
 demo: $(STAMP)
 	@$(BIN)/motes demo
+
+# an answer within three minutes: lint, and the tests that a change can affect, nearest first, as many as two minutes allow; what is compiled
+# is kept in .jax for the next time
+check: lint
+	@XLA_FLAGS="$$($(BIN)/python tests/quick.py)" MOTES_SECONDS=110 JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.jax JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.2 \
+		$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized" $$($(BIN)/python tests/sources.py)
 
 # quick.py: compiles three times as fast; what asks for the full compiler is marked "optimized"
 test: $(STAMP)
@@ -63,4 +69,4 @@ $(BENCH)/.installed: pyproject.toml benchmarks/environment.py
 	@touch $(BENCH)/.installed
 
 clean:
-	rm -rf $(VENV) $(NEWEST) $(BENCH) out build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(NEWEST) $(BENCH) .jax out build dist .pytest_cache .ruff_cache .hypothesis

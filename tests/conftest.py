@@ -1,6 +1,7 @@
 """Settings of the whole suite; its place also puts this folder on the import path, so that tests share helpers such as data.py."""
 
 import os
+import time
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
@@ -9,7 +10,15 @@ import pytest
 
 from tiers import NIGHT
 
+SECONDS = float(os.environ.get("MOTES_SECONDS", "inf"))
+"""After so many seconds no test begins any more: what is left then is skipped, and counted."""
+_began = time.monotonic()
 _seen = [0]
+
+
+def pytest_runtest_setup(item):
+    if time.monotonic() - _began > SECONDS:
+        pytest.skip("the time of this run is over: make test runs it")
 
 
 @pytest.fixture(autouse=True)

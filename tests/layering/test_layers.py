@@ -1,12 +1,11 @@
 """The floors of the house: a file imports only lower ranks; methods never import each other."""
 
 import ast
-from pathlib import Path
 
 import pytest
 from budgets import depth, over_budget
 
-SOURCE = Path(__file__).parents[2] / "src" / "motes"
+from sources import SOURCE, imports
 
 RANKS = {
     "core": 0, "laws": 1, "io": 1, "models": 2, "resampling": 2, "native": 3, "filters": 4,
@@ -17,15 +16,6 @@ SHARED = {"filters": ("interface", "needs", "sharp", "alarm", "notices", "precis
           "mcmc": ("interface", "chains", "continuing", "convergence", "judgement", "jumps"),
           "montecarlo": ("estimate",), "parameters": ("posterior", "paths", "augmented")}
 """Files of a room of methods that others of the room may import; the methods themselves may not import each other."""
-
-
-def imports(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("motes"):
-            names = [node.module] if node.module.count(".") > 1 else [f"{node.module}.{alias.name}" for alias in node.names]
-            yield from (name.split(".")[1:] for name in names)
-        elif isinstance(node, ast.Import):
-            yield from (alias.name.split(".")[1:] for alias in node.names if alias.name.startswith("motes"))
 
 
 def breaches(path, root=SOURCE):
