@@ -12,7 +12,7 @@ from motes.filters.interface import Filter
 
 SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
 
-KNOBS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (45, 43)}
+KNOBS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (31, 29)}
 """Values for knobs that have no default; a new filter whose knob is not listed here says so by failing."""
 
 
