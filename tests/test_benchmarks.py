@@ -71,6 +71,7 @@ def test_figure_is_drawn(benchmarks, results, tmp_path):
     assert (tmp_path / "results.png").stat().st_size > 1_000
 
 
+@pytest.mark.night
 def test_dry_run_of_an_accelerator(benchmarks, monkeypatch, tmp_path):
     import gpu
 

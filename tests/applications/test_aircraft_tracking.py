@@ -204,6 +204,7 @@ SECOND = {
 
 
 @pytest.mark.optimized  # much to compute
+@pytest.mark.night
 def test_second_recordings_are_as_good_as_the_first(tmp_path):
     """The tracker's error on flights that were recorded in other ways, all in one program."""
     paths = [scenario.read_path(in_csv(tmp_path, change(made_up())), **ALL) for change in SECOND.values()]

@@ -17,11 +17,10 @@ COMMAND = "import sys; from motes.cli.main import main; sys.exit(main())"
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    """A small demonstration, flown once; compiled programs are kept apart from the user's own."""
+    """A small demonstration, flown once; what is kept for the user is kept apart from the user's own."""
     home = tmp_path_factory.mktemp("home")
     with pytest.MonkeyPatch.context() as surroundings:
         surroundings.setenv("XDG_CACHE_HOME", str(home / "cache"))
-        surroundings.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
         assert main(["demo", "terrain", "--n", "150", "--out", str(home / "out")]) == 0
         yield home / "out"
 
@@ -60,7 +59,6 @@ def test_demo_writes_everything(demo):
     assert summary["settings"]["n"] == 150 and "jax_version" in summary["provenance"]
     assert set(summary["results"]) == {"marginalized", "particle"}
     assert summary["results"]["marginalized"]["milliseconds_per_step"] > 0
-    assert (demo.parent / "cache" / "motes" / "compiled").stat().st_mode & 0o777 == 0o700
 
 
 def test_study_compares_filters(tmp_path, capsys, monkeypatch):
@@ -251,6 +249,13 @@ def test_cache_that_others_can_use_is_made_private(tmp_path, monkeypatch):
     assert private_folder("compiled") is None
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
     assert private_folder("compiled") is None
+
+
+def test_compiled_programs_are_kept_for_the_next_call(tmp_path):
+    code = "from motes.cli.compiled import keep_programs; keep_programs(); import jax; print(jax.config.jax_compilation_cache_dir)"
+    kept = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True,
+                          env=os.environ | {"XDG_CACHE_HOME": str(tmp_path), "JAX_COMPILATION_CACHE_DIR": ""}).stdout.strip()
+    assert kept == str(tmp_path / "motes" / "compiled") and Path(kept).stat().st_mode & 0o777 == 0o700
 
 
 def shell(*arguments, **environment):

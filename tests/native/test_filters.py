@@ -75,7 +75,7 @@ def test_results_of_jax_without_resampling(kind, name):
 
 
 @needs_compiler
-@pytest.mark.parametrize("policy", [mo.Always(), mo.ESS(0.5), mo.Entropy(0.7)])
+@pytest.mark.parametrize("policy", each([mo.Always(), mo.ESS(0.5), mo.Entropy(0.7)], {str(mo.Always()), str(mo.Entropy(0.7))}))
 @pytest.mark.parametrize("kind", FILTERS)
 def test_likelihood_of_jax_with_resampling(kind, policy):
     """After resampling a rounding here and there gives another ancestor: results agree within Monte Carlo error, at first to rounding."""

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 import motes as mo
+from tiers import each
 
 pytestmark = pytest.mark.jax
 
@@ -62,7 +63,7 @@ GUIDED = {
 }
 
 
-@pytest.mark.parametrize("name", GUIDED)
+@pytest.mark.parametrize("name", each(list(GUIDED), {"unscented", "auxiliary, now and then"}))
 def test_likelihood_and_means_are_those_of_the_kalman_filter(name, double):
     """A state without noise, a row and a component missing; level 1e-6 for the likelihood and for all means together."""
     # scored by p(y | mean), second-stage weights have a variance only where R is wide beside the process noise
@@ -149,7 +150,7 @@ NONLINEAR = {
 
 
 @pytest.mark.parametrize(("name", "state_noise"), [
-    pytest.param(n, i % 2 == 1, marks=[pytest.mark.night] * ("unscented" in n)) for i, n in enumerate(NONLINEAR)], ids=NONLINEAR.keys())
+    pytest.param(n, i % 2 == 1, marks=[pytest.mark.night] * ("unscented" in n or n == "auxiliary")) for i, n in enumerate(NONLINEAR)], ids=NONLINEAR.keys())
 def test_nonlinear_models_against_the_grid(name, state_noise, double):
     """Noise without a variance (it guides nothing), noise that depends on the state, and an angle that is wrapped."""
     model = curved(state_noise)

@@ -36,7 +36,8 @@ def same(found, wanted, tolerance=1e-9):
     assert np.allclose(found.info.gap, wanted.info.gap, rtol=tolerance, atol=tolerance)
 
 
-@pytest.mark.parametrize("cross", [None, [[0.05, 0.02], [0.0, -0.03], [0.0, 0.0]]], ids=["independent", "correlated noises"])
+@pytest.mark.parametrize("cross", [
+    pytest.param(None, marks=pytest.mark.night), [[0.05, 0.02], [0.0, -0.03], [0.0, 0.0]]], ids=["independent", "correlated noises"])
 def test_both_forms_equal_the_kalman_filter(cross, double):
     given = model(cross)
     ys = data(given)

@@ -105,7 +105,9 @@ def test_particle_gibbs(exact, paths):
     assert chains.acceptance[type(paths).__name__] > 0.8
 
 
-@pytest.mark.parametrize("scheme", [mo.Multinomial(), mo.Systematic(), mo.Killing()], ids=lambda scheme: type(scheme).__name__)
+@pytest.mark.parametrize("scheme", [
+    mo.Systematic(), pytest.param(mo.Multinomial(), marks=pytest.mark.night), pytest.param(mo.Killing(), marks=pytest.mark.night),
+], ids=lambda scheme: type(scheme).__name__)
 def test_paths_given_parameters_have_the_smoothers_law(scheme):
     theta = jnp.array([0.4, -0.6])
     fixed = parameters.PathPosterior(mo.Gaussian(theta, 1e-12 * jnp.eye(2)), lambda _: model(theta), YS)
@@ -129,7 +131,9 @@ def pair(theta):
 PAIR_YS = jnp.asarray(mo.simulate(5, pair(None), STEPS)[1]).at[6].set(jnp.nan)
 
 
-@pytest.mark.parametrize("n, linear", [(4, ("b",)), (6, ("a",)), (1, None)], ids=["b", "a", "both"])
+@pytest.mark.parametrize("n, linear", [
+    (4, ("b",)), pytest.param(6, ("a",), marks=pytest.mark.night), pytest.param(1, None, marks=pytest.mark.night),
+], ids=["b", "a", "both"])
 def test_half_marginalized_paths_have_the_smoothers_law(n, linear):
     kernel = parameters.RaoBlackwellizedParticleGibbs(n, linear)
     fixed = parameters.PathPosterior(mo.Gaussian(jnp.zeros(1), 1e-12 * jnp.eye(1)), pair, PAIR_YS)
@@ -191,6 +195,7 @@ def test_a_collapse_is_an_improbable_position_not_an_error():
         mo.sample(0, mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), far, jnp.zeros(2), draws=10)
 
 
+@pytest.mark.night
 def test_marginalized_paths_mix_better():
     """A position with a bent sensor and bent dynamics, driven by two linear states: the same law, and fewer draws for it."""
     def driven(x, u, t):

@@ -77,6 +77,7 @@ def test_states_that_count(clock):
     assert 0.3 < first[4] < 1.0
 
 
+@pytest.mark.night
 def test_accuracy(clock):
     """The fastest candidate that reaches an error, with no more particles than it needs."""
     best = plan(model(), 1e-3, states=("seen",)).table.column("RMSE")[0]
