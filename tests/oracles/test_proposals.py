@@ -150,7 +150,7 @@ NONLINEAR = {
 
 
 @pytest.mark.parametrize(("name", "state_noise"), [
-    pytest.param(n, i % 2 == 1, marks=[pytest.mark.night] * ("unscented" in n or n == "auxiliary")) for i, n in enumerate(NONLINEAR)], ids=NONLINEAR.keys())
+    pytest.param(n, i % 2 == 1, id=n, marks=[pytest.mark.night] * ("unscented" in n or n == "auxiliary")) for i, n in enumerate(NONLINEAR)])
 def test_nonlinear_models_against_the_grid(name, state_noise, double):
     """Noise without a variance (it guides nothing), noise that depends on the state, and an angle that is wrapped."""
     model = curved(state_noise)
