@@ -59,7 +59,7 @@ class History:
         engine: what did the work: "jax", "native", or "native in part" (see `engine` and `explain`).
         circular: indices of the states that are angles in radians.
         descends: whether each particle of a cloud came from the one that it names as its ancestor.
-        rounding: how coarse numbers are beside the noise (`filters/precision.py`), `(2, y)`, of pieces that were joined the largest; None in
+        rounding: how coarse numbers are beside the noise (`filters/precision.py`), `(2, y)`; of joined pieces the largest; None in
             files of version 0.1.
     """
 
