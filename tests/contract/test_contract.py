@@ -31,7 +31,7 @@ LAWS = {name: FILTERS[name] for name in (
 SHARED = {name for name in FILTERS if shares_stages(name)}
 WITHOUT_PARTICLES = {name for name in FILTERS if name.endswith(("KalmanFilter", "GaussHermiteFilter", "PointMassFilter", "common kernel"))}
 """Filters of which the native engine has nothing."""
-ALL_BUT_THREE = set(FILTERS) - {"KalmanFilter", "ParticleFilter", "MarginalizedParticleFilter"}
+ALL_BUT_ONE = set(FILTERS) - {"ParticleFilter"}
 
 
 def each_of(filters, night=(), native=False):
@@ -125,7 +125,7 @@ def test_eager_equals_jitted(filter, double):
 
 
 @pytest.mark.optimized
-@each_in_both_precisions(FILTERS, SHARED, ALL_BUT_THREE, native=True)
+@each_in_both_precisions(FILTERS, SHARED, ALL_BUT_ONE, native=True)
 def test_stream_draws_the_same_bits_as_run(filter, precision):
     model = linear()
     ys = data(model)
@@ -148,7 +148,7 @@ def test_stream_draws_the_same_bits_as_run(filter, precision):
 
 
 @pytest.mark.optimized
-@each_in_both_precisions(LAWS, double_by_night=ALL_BUT_THREE)
+@each_in_both_precisions(LAWS, double_by_night=ALL_BUT_ONE)
 def test_cut_and_continued_equals_uncut(filter, precision):
     model = linear()
     ys = data(model)
@@ -209,7 +209,7 @@ def test_vmap_over_models_and_data(filter):
 
 
 @pytest.mark.optimized
-@each_in_both_precisions(CLASSES, SHARED, ALL_BUT_THREE)
+@each_in_both_precisions(CLASSES, set(CLASSES) - set(LAWS) | SHARED, ALL_BUT_ONE)
 def test_nothing_measured_is_predict_only(filter, precision):
     model = linear()
     key = random.as_key(9)

@@ -300,6 +300,7 @@ def test_ranks_of_the_truth_are_uniform(name):
 
 
 @pytest.mark.optimized
+@pytest.mark.night
 def test_ranks_of_the_truth_among_sequential_parameters_are_uniform():
     from motes.core.record import replace
 
