@@ -3,7 +3,8 @@
 In JAX before 0.12, XLA for CPUs can lose the end of one of the operations that it runs at the same time: all threads of the process then
 sleep, in `block_until_ready` or in their pool, and nothing wakes them. Seen in long chains of `mcmc.ReversibleJump` on two processors,
 within a minute. Operations are run at the same time where many of a loop's body are ready at once, which the scheduler that orders them for
-concurrency sees to; the other one, which orders them for little memory, leaves few that are ready at once, and was never seen to stop.
+concurrency sees to; the other one, which orders them for little memory, leaves few that are ready at once. On a busy machine long chains of
+jumps between models stop with it, too: `core/workers.py` has their pieces computed once more then.
 """
 
 import functools
@@ -27,6 +28,11 @@ def jitted(function: Callable[..., Any], **static: Any) -> Any:
         static: static arguments, as `jax.jit` takes them.
     """
     return _Jitted(function, static) if jax.__version_info__ < CURED else jax.jit(function, **static)
+
+
+def loses_work() -> bool:
+    """Tell whether XLA may stop for good here, in spite of the options: seldom with them, so that whoever can calls again."""
+    return jax.__version_info__ < CURED and jax.default_backend() == "cpu"
 
 
 class _Jitted:
