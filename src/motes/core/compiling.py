@@ -1,10 +1,12 @@
 """How what is jitted here is compiled: with options that keep XLA for CPUs from stopping for good.
 
-In JAX before 0.12, XLA for CPUs can lose the end of one of the operations that it runs at the same time: all threads of the process then
-sleep, in `block_until_ready` or in their pool, and nothing wakes them. Seen in long chains of `mcmc.ReversibleJump` on two processors,
-within a minute. Operations are run at the same time where many of a loop's body are ready at once, which the scheduler that orders them for
-concurrency sees to; the other one, which orders them for little memory, leaves few that are ready at once. On a busy machine long chains of
-jumps between models stop with it, too: `core/workers.py` has their pieces computed once more then.
+In JAX before 0.12, what `jnp.linalg` does for many matrices at a time (a decomposition under `vmap`) is shared out over the threads of
+XLA's pool by one of these threads, which then waits for the others. Where as many decompositions are at hand at the same time as there are
+threads, all of them wait, and none is left to do the work: the process sleeps for good, in `block_until_ready`. Seen in long chains of
+`mcmc.ReversibleJump` on two processors, whose moves each had a determinant of their own. So nothing of ours asks LAPACK for many matrices
+(`core/linalg.py` has what is needed). For functions of the user's that do, operations are kept from being run at the same time where that
+can be had: the scheduler that orders them for concurrency is off; the other one, which orders them for little memory, leaves few that are
+ready at once.
 """
 
 import functools
@@ -28,11 +30,6 @@ def jitted(function: Callable[..., Any], **static: Any) -> Any:
         static: static arguments, as `jax.jit` takes them.
     """
     return _Jitted(function, static) if jax.__version_info__ < CURED else jax.jit(function, **static)
-
-
-def loses_work() -> bool:
-    """Tell whether XLA may stop for good here, in spite of the options: seldom with them, so that whoever can calls again."""
-    return jax.__version_info__ < CURED and jax.default_backend() == "cpu"
 
 
 class _Jitted:

@@ -3,9 +3,6 @@
 Code that XLA compiled cannot be stopped, and Python hears no signal while its main thread is in it. When an interruption leaves the `with`
 block of these workers, what they are at gets a moment to end; then they are left behind. Where one is still at work when Python ends, the
 process ends without being torn down, which would be a segmentation fault.
-
-XLA for CPUs, in JAX before 0.12, can lose the end of an operation: all of its threads are idle, and nothing wakes the one that waits
-(`core/compiling.py` makes that rare). `patiently` gives such work to another thread.
 """
 
 import atexit
@@ -23,10 +20,6 @@ from typing import Any, Self
 PATIENCE = 0.5
 """Seconds that work gets to end after an interruption."""
 INTERRUPTED = 130
-QUIET = 5.0
-"""Seconds in which work that is not lost uses some of a processor; twice as long after each time that it did not."""
-ASLEEP = 0.05
-"""Share of a processor below which a process is asleep; drawing a progress bar takes less."""
 
 _left_behind: list[threading.Event] = []
 
@@ -37,14 +30,10 @@ class Workers:
     def __init__(self, count: int):
         """Start so many threads."""
         self._tasks: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
-        self._ended = [self._started() for _ in range(count)]
-
-    def _started(self) -> threading.Event:
-        """Start a thread, and return what tells that it has ended."""
-        ended = threading.Event()
-        # what they hold must not hold them: a reference to this object would keep it from ending
-        threading.Thread(target=_work, args=(self._tasks, ended), daemon=True).start()
-        return ended
+        self._ended = [threading.Event() for _ in range(count)]
+        for ended in self._ended:
+            # what they hold must not hold them: a reference to this object would keep it from ending
+            threading.Thread(target=_work, args=(self._tasks, ended), daemon=True).start()
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Have a function called by the next thread that is free."""
@@ -62,23 +51,6 @@ class Workers:
         self._tasks.put(task)
         return future
 
-    def patiently(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Have a function called by the only thread, and wait for it; where the process falls asleep over it, once more by another thread.
-
-        For functions that give the same however often they are called.
-        """
-        quiet = QUIET
-        future, used = self.submit(function, *arguments), time.process_time()
-        while not _in_time(future, quiet):
-            now = time.process_time()
-            if now - used < ASLEEP * quiet:
-                # with tasks of its own: the other thread may wake up after all
-                self._tasks = SimpleQueue()
-                self._ended = [self._started()]
-                future, quiet = self.submit(function, *arguments), 2 * quiet
-            used = now
-        return future.result()
-
     def __enter__(self) -> Self:
         """Begin."""
         return self
@@ -93,12 +65,6 @@ class Workers:
                 ended.wait(None if until is None else max(0.0, until - time.monotonic()))
         finally:
             _left_behind.extend(ended for ended in self._ended if not ended.is_set())
-
-
-def _in_time(future: Future[Any], seconds: float) -> bool:
-    with suppress(TimeoutError):
-        future.exception(seconds)
-    return future.done()
 
 
 def _work(tasks: SimpleQueue[Callable[[], None] | None], ended: threading.Event) -> None:

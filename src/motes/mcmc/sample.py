@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.compiling import jitted, loses_work
+from motes.core.compiling import jitted
 from motes.core.progress import tracked
 from motes.core.record import is_function, record, static
 from motes.core.settings import enforced, in_force
@@ -118,9 +118,8 @@ def _drawn(
                 raise
 
     with watched("sample", lambda: f"{begun} of {total} steps", "; the draws so far are kept") as progressed, Workers(1) as worker:
-        call = worker.patiently if loses_work() else lambda *task: worker.submit(*task).result()
         for count, keep in tracked(pieces, "sampling", None):
-            states, info, out = call(advance, states, begun, count)
+            states, info, out = worker.submit(advance, states, begun, count).result()
             begun += count
             progressed()
             yield states, info, out if keep else None, begun
