@@ -1,12 +1,11 @@
-"""How what is jitted here is compiled: with options that keep XLA for CPUs from stopping for good.
+"""How what is jitted here is compiled: with options that make it rare that XLA for CPUs stops for good.
 
 In JAX before 0.12, what `jnp.linalg` does for many matrices at a time (a decomposition under `vmap`) is shared out over the threads of
 XLA's pool by one of these threads, which then waits for the others. Where as many decompositions are at hand at the same time as there are
 threads, all of them wait, and none is left to do the work: the process sleeps for good, in `block_until_ready`. Seen in long chains of
-`mcmc.ReversibleJump` on two processors, whose moves each had a determinant of their own. So nothing of ours asks LAPACK for many matrices
-(`core/linalg.py` has what is needed). For functions of the user's that do, operations are kept from being run at the same time where that
-can be had: the scheduler that orders them for concurrency is off; the other one, which orders them for little memory, leaves few that are
-ready at once.
+`mcmc.ReversibleJump` on two processors, whose moves each have a determinant of their own. Operations are run at the same time where many of
+a loop's body are ready at once, which the scheduler that orders them for concurrency sees to; the other one, which orders them for little
+memory, leaves few that are ready at once, but on a busy machine two are now and then.
 """
 
 import functools

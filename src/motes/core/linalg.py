@@ -5,7 +5,6 @@ with and without the particle axis mix freely; a result has the axis when an ope
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +15,6 @@ from motes.core import engine
 
 _EXACT = Precision.HIGHEST
 _MOST_ENTRIES = 256
-SWEEPS = 10
-"""Sweeps of rotations; the last ones square what is left to be turned away, so that ten are enough for any size that is written out."""
 
 
 def _align(a: jax.Array, b: jax.Array, small_axes: int) -> tuple[jax.Array, jax.Array]:
@@ -196,68 +193,22 @@ def unit_factor(a: jax.Array) -> tuple[jax.Array, jax.Array]:
 def eigen(a: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Eigenvalues `(i, *n)`, in no order, and orthonormal eigenvectors `(i, i, *n)` as columns, of symmetric A `(i, i, *n)`.
 
-    By rotations of two rows and columns at a time (Jacobi 1846): one for two rows, sweeps over all pairs for more.
+    Two rows are turned by one Jacobi rotation; from three on LAPACK does one matrix after the other.
     """
     if a.shape[0] == 1:
         return a[0], jnp.ones_like(a)
-    if a.shape[0] == 2:
-        tangent, cosine, sine = _rotation(a[0, 0], a[1, 1], a[0, 1])
-        values = jnp.stack([a[0, 0] - tangent * a[0, 1], a[1, 1] + tangent * a[0, 1]])
-        return values, jnp.stack([jnp.stack([cosine, sine]), jnp.stack([-sine, cosine])])
-
-    def turned(m: jax.Array, p: int, q: int, cosine: jax.Array, sine: jax.Array) -> jax.Array:
-        return m.at[p].set(cosine * m[p] - sine * m[q]).at[q].set(sine * m[p] + cosine * m[q])
-
-    def sweep(_: Any, held: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        rest, rows = held
-        for p in range(a.shape[0]):
-            for q in range(p + 1, a.shape[0]):
-                _, cosine, sine = _rotation(rest[p, p], rest[q, q], rest[p, q])
-                rest = transpose(turned(transpose(turned(rest, p, q, cosine, sine)), p, q, cosine, sine))
-                rows = turned(rows, p, q, cosine, sine)
-        return rest, rows
-
-    unit = identity_like(a)
-    rest, rows = jax.lax.fori_loop(0, SWEEPS, sweep, (a, jnp.zeros_like(a) + (unit[..., None] if a.ndim == 3 else unit)))
-    return diagonal_of(rest), transpose(rows)
-
-
-def _rotation(first: jax.Array, second: jax.Array, across: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Tangent, cosine and sine of the smaller angle that makes two rows and columns of a symmetric matrix diagonal."""
-    apart, twice = second - first, 2 * across
+    if a.shape[0] != 2:
+        values, vectors = jnp.linalg.eigh(jnp.moveaxis(a, (0, 1), (-2, -1)))
+        return jnp.moveaxis(values, -1, 0), jnp.moveaxis(vectors, (-2, -1), (0, 1))
+    apart, twice = a[1, 1] - a[0, 0], 2 * a[0, 1]
     square = apart**2 + twice**2
     turned = square > 0
     root = jnp.sqrt(jnp.where(turned, square, 1))
     tangent = jnp.where(turned, jnp.where(apart < 0, -twice, twice) / (jnp.abs(apart) + root), 0)
     cosine = 1 / jnp.sqrt(1 + tangent**2)
-    return tangent, cosine, tangent * cosine
-
-
-def eliminated(a: jax.Array, b: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Solve A z = b for A `(i, i)` and b `(i, j)`; also return log |det A|, minus infinity where there is no such z.
-
-    By Gauss-Jordan elimination with partial pivoting.
-
-    Not by LAPACK, which may stop for good where it is asked for many matrices (`core/compiling.py`).
-    """
-    size, places = a.shape[0], jnp.arange(a.shape[0])
-
-    def step(k: Any, held: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        rows, total = held
-        pivot = jnp.argmax(jnp.where(places >= k, jnp.abs(rows[:, k]), -1))
-        chosen, other = rows[pivot], rows[k]
-        rows = rows.at[pivot].set(other).at[k].set(chosen)
-        share = chosen / jnp.where(chosen[k] == 0, 1, chosen[k])
-        rows = jnp.where((places == k)[:, None], share, rows - rows[:, k][:, None] * share)
-        return rows, total + jnp.log(jnp.abs(chosen[k]))
-
-    rows, total = jax.lax.fori_loop(0, size, step, (jnp.concatenate([a, b], axis=1), jnp.zeros((), a.dtype)))
-    return rows[:, size:], total
-
-
-def log_volume(a: jax.Array) -> jax.Array:
-    """Log |det A| of any A `(i, i)`."""
-    return eliminated(a, a[:, :0])[1]
+    sine = tangent * cosine
+    values = jnp.stack([a[0, 0] - tangent * a[0, 1], a[1, 1] + tangent * a[0, 1]])
+    return values, jnp.stack([jnp.stack([cosine, sine]), jnp.stack([-sine, cosine])])
 
 
 def solve_lower(lower: jax.Array, b: jax.Array) -> jax.Array:

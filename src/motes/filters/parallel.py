@@ -120,8 +120,8 @@ def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tupl
 def _combined(first: _Element, second: _Element) -> _Element:
     """Return two neighbors as one element (the paper's lemma 8)."""
     one = linalg.identity_like(first.C)
-    forward = linalg.product(second.A, linalg.eliminated(one + linalg.product(first.C, second.J), one)[0])
-    backward = linalg.product(linalg.transpose(first.A), linalg.eliminated(one + linalg.product(second.J, first.C), one)[0])
+    forward = linalg.product(second.A, jnp.linalg.inv(one + linalg.product(first.C, second.J)))
+    backward = linalg.product(linalg.transpose(first.A), jnp.linalg.inv(one + linalg.product(second.J, first.C)))
     return _Element(
         linalg.product(forward, first.A),
         forward @ (first.b + first.C @ second.eta) + second.b,
