@@ -9,6 +9,10 @@ NIGHT = bool(os.environ.get("MOTES_NIGHTLY"))
 
 
 def each(values, night=()):
-    """Parameters for `parametrize`: values, or those of a dictionary with its keys as ids; what `night` names is asked by night."""
+    """Parameters for `parametrize`: values, or those of a dictionary with its keys as ids.
+
+    What `night` names, or says of a name that it is so, is asked by night.
+    """
     names = values if isinstance(values, dict) else {str(value): value for value in values}
-    return [pytest.param(value, id=str(name), marks=[pytest.mark.night] * (name in night)) for name, value in names.items()]
+    late = night if callable(night) else night.__contains__
+    return [pytest.param(value, id=str(name), marks=[pytest.mark.night] * bool(late(name))) for name, value in names.items()]

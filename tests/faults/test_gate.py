@@ -31,7 +31,7 @@ def test_every_gaussian_filter_has_a_gate():
     assert kalman | others == set(GATED)
 
 
-@pytest.mark.parametrize("name", each(list(GATED), set(filter(discovery.shares_stages, GATED)) - {"JumpMarkovFilter"}))
+@pytest.mark.parametrize("name", each(list(GATED), lambda name: discovery.shares_stages(name) and name != "JumpMarkovFilter"))
 def test_a_wild_fix_is_left_out_and_counted(name):
     knobs = {"nonlinear": ("a",)} if name == "KalmanParticleKernelFilter" else {}
     got = mo.run(0, discovery.example(GATED[name], gate=0.9999, **knobs), MODEL, WILD)
@@ -79,15 +79,16 @@ VARIANCES[2, 1] = VARIANCES[3] = np.inf
 
 
 OTHERS = ("PointMassFilter", "CostReferenceParticleFilter", "SkeletonFilter")
+EITHER = {name: discovery.example(cls) for name, cls in discovery.filter_classes().items() if name not in OTHERS}
+ON_ENGINES = {f"{name}-{engine}": (name, engine) for name, filter in EITHER.items() for engine in ("jax", "native")
+              if engine == "jax" or hasattr(filter, "n")}  # fmt: skip
+"""Filters without particles have nothing that the native engine could do."""
 
 
-@pytest.mark.parametrize("engine", ["jax", "native"])
-@pytest.mark.parametrize("name", each([name for name in discovery.filter_classes() if name not in OTHERS],
-                                      set(filter(discovery.shares_stages, discovery.filter_classes()))))
-def test_an_infinite_variance_is_no_measurement(name, engine):
-    filter = discovery.example(discovery.filter_classes()[name])
-    if engine == "native" and not hasattr(filter, "n"):
-        pytest.skip("no stage with native kernels")
+@pytest.mark.parametrize("case", each(ON_ENGINES, discovery.shares_stages))
+def test_an_infinite_variance_is_no_measurement(case):
+    name, engine = case
+    filter = EITHER[name]
     ys = np.random.default_rng(1).normal(size=(6, 2)) + np.arange(6.0)[:, None]
     blank = np.where(np.isinf(VARIANCES), np.nan, ys)
     with mo.engine(engine):

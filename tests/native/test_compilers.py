@@ -55,7 +55,7 @@ def test_kernels_of_models(chosen):
 
 @each_compiler
 def test_kernels_without_a_model(chosen):
-    mark, loaded = compile.library((compile.HEADERS / "blocks.cpp").read_text())
+    mark, loaded = compile.shared_object((compile.HEADERS / "blocks.cpp").read_text())
     assert all(hasattr(loaded, f"motes_{name}") for name in ("normal_block", "ancestors", "weigh", "moments"))
 
 
@@ -68,9 +68,9 @@ float of_a_model(float x) {{ return {}exp(x); }}
 @each_compiler
 def test_calls_that_are_not_qualified_are_refused(chosen):
     """The planted twin: the same program is refused by all compilers, also by those whose library would not mind."""
-    compile.library(CALLS.format("motes::"))
+    compile.shared_object(CALLS.format("motes::"))
     with pytest.raises(compile.CompileError, match="ambiguous"):
-        compile.library(CALLS.format(""))
+        compile.shared_object(CALLS.format(""))
 
 
 @needs_compiler

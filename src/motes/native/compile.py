@@ -74,7 +74,7 @@ def _required() -> tuple[str, ...]:
 _loaded: dict[str, ctypes.CDLL] = {}
 
 
-def library(source: str) -> tuple[str, ctypes.CDLL]:
+def shared_object(source: str) -> tuple[str, ctypes.CDLL]:
     """Compile (or find) a library and load it; return its hash too.
 
     Raises:
@@ -119,7 +119,7 @@ def kernel(source: str, symbol: str) -> str:
     Raises:
         CompileError: there is no compiler, or it failed.
     """
-    mark, loaded = library(source)
+    mark, loaded = shared_object(source)
     name = f"motes_{symbol}_{mark}"
     if name not in _registered:
         jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(loaded, symbol)), platform="cpu")

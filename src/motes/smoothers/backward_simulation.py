@@ -42,7 +42,7 @@ class BackwardSimulationSmoother(Smoother):
         Raises:
             MotesError: n is not a positive whole number, or parents is no rule for drawing them.
         """
-        checks.positive_integer("BackwardSimulationSmoother n", self.n)
+        super().check_knobs()
         if not isinstance(self.parents, Parents):
             checks.refuse("BackwardSimulationSmoother parents", "a rule such as ExactParents()", type(self.parents).__name__)
 

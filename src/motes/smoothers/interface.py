@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks
-from motes.core.record import record, static
+from motes.core.record import record, static, values
 from motes.filters.history import History
 from motes.filters.needs import ask_density
 from motes.laws.cloud import Cloud, weighted_moments
@@ -85,8 +85,14 @@ class Smoother(ABC):
         """
         self.check_knobs()
 
-    def check_knobs(self) -> None:  # noqa: B027 (some smoothers have nothing to check)
-        """Refuse values of the smoother's own knobs."""
+    def check_knobs(self) -> None:
+        """Refuse values of the smoother's own knobs; n, of smoothers that draw, is the number of what they draw.
+
+        Raises:
+            MotesError: n is not a positive whole number.
+        """
+        if "n" in values(self):
+            checks.positive_integer(f"{type(self).__name__} n", values(self)["n"])
 
     @abstractmethod
     def prepare(self, model: Any, history: History, u: Any) -> Any:

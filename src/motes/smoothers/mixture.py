@@ -62,14 +62,6 @@ class MixtureSmoother(Smoother):
     lost = ("states that a component leads to", "Dynamics without noise in some direction lead from drawn states to others than were kept: "
             "use more particles, or give it a little noise.")  # fmt: skip
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
-
-        Raises:
-            MotesError: n is not a positive whole number.
-        """
-        checks.positive_integer("MixtureSmoother n", self.n)
-
     def prepare(self, model: Any, history: History, u: Any) -> JumpMarkovModel:
         """Ask for mixtures, and for means and covariances of the dynamics of every mode.
 

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, linalg, logspace, pairs, random
+from motes.core import linalg, logspace, pairs, random
 from motes.core.record import record, replace, static
 from motes.filters.history import History
 from motes.laws.circular import wrap
@@ -34,14 +34,6 @@ class RaoBlackwellizedSmoother(Smoother):
     """
 
     n: int = static()
-
-    def check_knobs(self) -> None:
-        """Check the knobs.
-
-        Raises:
-            MotesError: n is not a positive whole number.
-        """
-        checks.positive_integer("RaoBlackwellizedSmoother n", self.n)
 
     def prepare(self, model: Any, history: History, u: Any) -> SplitModel:
         """Split the model as the filter did.

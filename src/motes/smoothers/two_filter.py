@@ -47,7 +47,7 @@ class TwoFilterSmoother(Smoother):
         Raises:
             MotesError: n is not a positive whole number, or the inflation is below 1.
         """
-        checks.positive_integer("TwoFilterSmoother n", self.n)
+        super().check_knobs()
         if checks.is_concrete(self.inflation) and not self.inflation >= 1:
             checks.refuse("TwoFilterSmoother inflation", "a factor of at least 1", self.inflation)
 
