@@ -1,11 +1,7 @@
-"""How what is jitted here is compiled: with options that make it rare that XLA for CPUs stops for good.
+"""How what is jitted here is compiled: with options that make it rare that decompositions in a user's functions stop XLA for good.
 
-In JAX before 0.12, what `jnp.linalg` does for many matrices at a time (a decomposition under `vmap`) is shared out over the threads of
-XLA's pool by one of these threads, which then waits for the others. Where as many decompositions are at hand at the same time as there are
-threads, all of them wait, and none is left to do the work: the process sleeps for good, in `block_until_ready`. Seen in long chains of
-`mcmc.ReversibleJump` on two processors, whose moves each have a determinant of their own. Operations are run at the same time where many of
-a loop's body are ready at once, which the scheduler that orders them for concurrency sees to; the other one, which orders them for little
-memory, leaves few that are ready at once, but on a busy machine two are now and then.
+Why they can is told in `lapack.py`, through which ours go. Operations are run at the same time where many of a loop's body are ready at
+once, which the scheduler that orders them for concurrency sees to; the other one, which orders them for little memory, leaves few.
 """
 
 import functools
@@ -14,9 +10,9 @@ from typing import Any
 
 import jax
 
+from motes.core.lapack import MENDED
+
 OPTIONS: dict[str, Any] = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
-CURED = (0, 12)
-"""The first JAX that was never seen to stop."""
 
 
 def jitted(function: Callable[..., Any], **static: Any) -> Any:
@@ -28,7 +24,7 @@ def jitted(function: Callable[..., Any], **static: Any) -> Any:
         function: what to jit.
         static: static arguments, as `jax.jit` takes them.
     """
-    return _Jitted(function, static) if jax.__version_info__ < CURED else jax.jit(function, **static)
+    return _Jitted(function, static) if jax.__version_info__ < MENDED else jax.jit(function, **static)
 
 
 class _Jitted:

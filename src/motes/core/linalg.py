@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import Precision
 
-from motes.core import engine
+from motes.core import engine, lapack
 
 _EXACT = Precision.HIGHEST
 _MOST_ENTRIES = 256
@@ -198,8 +198,7 @@ def eigen(a: jax.Array) -> tuple[jax.Array, jax.Array]:
     if a.shape[0] == 1:
         return a[0], jnp.ones_like(a)
     if a.shape[0] != 2:
-        values, vectors = jnp.linalg.eigh(jnp.moveaxis(a, (0, 1), (-2, -1)))
-        return jnp.moveaxis(values, -1, 0), jnp.moveaxis(vectors, (-2, -1), (0, 1))
+        return (jax.vmap(lapack.eigen, -1, -1) if a.ndim == 3 else lapack.eigen)(a)
     apart, twice = a[1, 1] - a[0, 0], 2 * a[0, 1]
     square = apart**2 + twice**2
     turned = square > 0

@@ -119,9 +119,13 @@ def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tupl
 
 def _combined(first: _Element, second: _Element) -> _Element:
     """Return two neighbors as one element (the paper's lemma 8)."""
-    one = linalg.identity_like(first.C)
-    forward = linalg.product(second.A, jnp.linalg.inv(one + linalg.product(first.C, second.J)))
-    backward = linalg.product(linalg.transpose(first.A), jnp.linalg.inv(one + linalg.product(second.J, first.C)))
+    # (I + C J)^-1 = I - L (I + L' J L)^-1 L' J with C = L L': what is inverted is never near to singular
+    lower = linalg.cholesky(first.C)
+    left = linalg.product(linalg.transpose(lower), second.J)
+    inner = linalg.cholesky(linalg.identity_like(lower) + linalg.product(left, lower))
+    inverse = linalg.identity_like(lower) - linalg.product(lower, linalg.solve(inner, left))
+    forward = linalg.product(second.A, inverse)
+    backward = linalg.product(linalg.transpose(first.A), linalg.transpose(inverse))
     return _Element(
         linalg.product(forward, first.A),
         forward @ (first.b + first.C @ second.eta) + second.b,

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, random
+from motes.core import checks, lapack, random
 from motes.core.record import record, static
 from motes.laws.cloud import draw
 from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State
@@ -87,7 +87,7 @@ class GeneralizedSampler(Kernel):
         Q = jnp.exp(jax.vmap(lambda i: self.q(i, position))(jnp.arange(can.shape[0])))
         # q (1 - Q + J) = 1', J all ones, has q = q Q with sum 1 for its only solution, also where Q is periodic
         system = jnp.where(can[:, None] & can, unit - Q + 1, unit)
-        return jnp.log(jnp.maximum(jnp.linalg.solve(system.T, can.astype(system.dtype)), 0))
+        return jnp.log(jnp.maximum(lapack.inverse(system.T) @ can.astype(system.dtype), 0))
 
     def _log_weights(self, log_density: LogDensity, orbit: Orbit) -> tuple[jax.Array, jax.Array]:
         """Log of p(z) q_z(k) |dz/dx| and log p(z) of each pair of an orbit, `(c,)` both."""

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, logspace, random
+from motes.core import checks, lapack, logspace, random
 from motes.core.record import record, replace, static
 from motes.laws.cloud import draw
 from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, as_kernel, settle
@@ -205,7 +205,7 @@ def _log_volume(jacobian: jax.Array, before: tuple[Any, int], after: tuple[Any, 
     least = min(jacobian.shape)
     ordered = jacobian[rows[:least]][:, columns[:least]]
     live = jnp.arange(least) < before[0] + jacobian.shape[1] - before[1]
-    return jnp.linalg.slogdet(jnp.where(live[:, None] & live, ordered, jnp.eye(least, dtype=jacobian.dtype)))[1]
+    return lapack.log_volume(jnp.where(live[:, None] & live, ordered, jnp.eye(least, dtype=jacobian.dtype)))
 
 
 def _same(again: Any, first: Any, size: Any) -> jax.Array:

@@ -103,7 +103,7 @@ class CommonKernel(Kernels):
         whole = law.cov()
         factor = linalg.cholesky(whole)
         shares = linalg.solve_lower(factor, linalg.transpose(linalg.solve_lower(factor, law.parts.covariance)))
-        least = jnp.min(jnp.linalg.eigvalsh(jnp.moveaxis(linalg.symmetric(shares), -1, 0)))
+        least = jnp.min(linalg.eigen(linalg.symmetric(shares))[0])
         cap, guard = (jnp.square(jnp.asarray(knob, whole.dtype)) for knob in (self.cap, self.guard))
         common = jnp.clip(least, 0, cap) * whole
         small = least >= guard
