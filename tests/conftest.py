@@ -2,6 +2,7 @@
 
 import os
 import time
+from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
@@ -14,6 +15,8 @@ SECONDS = float(os.environ.get("MOTES_SECONDS", "inf"))
 """After so many seconds no test begins any more: what is left then is skipped, and counted."""
 _began = time.monotonic()
 _seen = [0]
+MAPS = Path("/proc/self/maps")
+MOST_MAPS = 40_000
 
 
 def pytest_runtest_setup(item):
@@ -23,10 +26,10 @@ def pytest_runtest_setup(item):
 
 @pytest.fixture(autouse=True)
 def _forget_programs():
-    """Drop compiled programs now and then: a process that keeps thousands runs out of memory maps."""
+    """Drop compiled programs before a process that keeps thousands runs out of memory maps; where they cannot be counted, now and then."""
     yield
     _seen[0] += 1
-    if _seen[0] % 60 == 0:
+    if _seen[0] % 20 == 0 and (MAPS.read_text().count("\n") > MOST_MAPS if MAPS.exists() else _seen[0] % 60 == 0):
         jax.clear_caches()
 
 

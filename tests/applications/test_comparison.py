@@ -51,6 +51,7 @@ def test_truth_lies_where_the_errors_lead(flights):
     assert float(expected[0, 0]) == pytest.approx(float(at_errors[0, 0]), abs=0.05)
 
 
+@pytest.mark.night
 def test_rivals_on_real_relief(flights):
     """The kernel filter keeps its way with few kernels, within twice the bound; a filter told nothing loses every run."""
     kernel = comparison.usual_rivals(flights[0].model, flights[0].model)["kernel, 2500"].filter

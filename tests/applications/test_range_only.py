@@ -238,6 +238,7 @@ def test_made_up_run(run_of_file):
     refused(error, "history", "6 steps")
 
 
+@pytest.mark.night
 def test_picture(run_of_file, tmp_path):
     scenario, history = run_of_file
     path = tmp_path / "robot.png"
@@ -306,6 +307,7 @@ def test_a_second_recording_is_as_good_as_the_first(file):
     assert "beyond the prior" not in job.diagnosed(history, made)
 
 
+@pytest.mark.night
 def test_outliers_are_a_setting(file):
     second = recordings.with_outliers(read_plaza(file))
     robust = job.scenario(second, job.drifting_turns(second), outliers=0.1)
@@ -318,6 +320,7 @@ def test_outliers_are_a_setting(file):
         refused(error, "outliers")
 
 
+@pytest.mark.night
 def test_an_unknown_start_is_a_setting(file):
     for recording in (read_plaza(file), recordings.rotated(read_plaza(file))):
         made = job.scenario(recording, job.drifting_turns(recording), start="unknown")

@@ -94,6 +94,7 @@ def test_run_with_fifteen_states(folder, capsys):
     assert (folder / "run" / "states.png").is_file() and (folder / "run" / "error.png").is_file()
 
 
+@pytest.mark.night
 def test_run_without_truth_on_parquet(folder, capsys):
     arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     from motes.io.tables import read_table

@@ -131,6 +131,7 @@ def flight(tmp_path_factory):
     return place
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("name", each(list(COMMANDS), set(COMMANDS) - {"demo"}))
 def test_interruptions_at_random_moments(name, request, tmp_path):
     """20 each by night, one by day; the last moments may be after the end."""

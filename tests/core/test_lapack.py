@@ -1,4 +1,4 @@
-"""Decompositions that go through LAPACK, against NumPy's, alone and mapped over many, with derivatives; and that nothing of ours goes past."""
+"""Decompositions by LAPACK against NumPy's, alone and mapped over many, with derivatives; and that nothing of ours goes past."""
 
 import re
 

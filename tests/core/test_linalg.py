@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from motes.core import linalg
+from tiers import each
 
 RNG = np.random.default_rng(0)
 
@@ -14,7 +15,7 @@ def batch(*shape, n=5):
     return RNG.normal(size=(*shape, n))
 
 
-def each(function, *arrays):
+def of_each(function, *arrays):
     """Apply a NumPy function to each particle's matrices; arrays without the particle axis are shared."""
     n = 5
     picked = [[a[..., i] if a.shape[-1] == n and a.ndim > 1 and full else a for a, full in arrays] for i in range(n)]
@@ -28,7 +29,7 @@ def test_products(size, left, right, double):
     a = batch(size, 3) if left else RNG.normal(size=(size, 3))
     b = batch(3, size) if right else RNG.normal(size=(3, size))
     found = np.asarray(linalg.product(jnp.asarray(a), jnp.asarray(b)))
-    wanted = each(np.matmul, (a, left), (b, right)) if left or right else a @ b
+    wanted = of_each(np.matmul, (a, left), (b, right)) if left or right else a @ b
     assert np.allclose(found, wanted)
 
 
@@ -42,8 +43,8 @@ def test_cholesky_and_solves(size, batched, double):
     x = np.asarray(jax.jit(linalg.solve)(factor, jnp.asarray(b)))
     log_det = np.asarray(linalg.log_determinant(factor))
     if batched:
-        assert np.allclose(factor, each(np.linalg.cholesky, (A, True)))
-        assert np.allclose(x, each(np.linalg.solve, (A, True), (b, True)))
+        assert np.allclose(factor, of_each(np.linalg.cholesky, (A, True)))
+        assert np.allclose(x, of_each(np.linalg.solve, (A, True), (b, True)))
         assert np.allclose(log_det, [np.linalg.slogdet(A[..., i])[1] for i in range(5)])
     else:
         assert np.allclose(factor, np.linalg.cholesky(A))
@@ -76,7 +77,7 @@ def worked_out(a, b, v, scale, root):
     }
 
 
-@pytest.mark.parametrize("size", range(1, 21))
+@pytest.mark.parametrize("size", each(range(1, 21), lambda size: int(size) not in (1, 2, 5, 20)))
 @pytest.mark.parametrize("deficient", [False, True])
 def test_updates_at_all_sizes(size, deficient, double):
     """Precisions and operands with and without particles take turns; deficient: of rank two, and one state without variance."""

@@ -90,7 +90,7 @@ CASES = {
 FILTERS = {"Kalman": mo.KalmanFilter(), "square root": mo.SquareRootKalmanFilter(), "extended": mo.ExtendedKalmanFilter()}
 
 
-@pytest.mark.parametrize("name", each(list(CASES), {"no moving average", "root near one"}))
+@pytest.mark.parametrize("name", each(list(CASES), {"no moving average", "root near one", "long"}))
 def test_arma_with_a_gap(name: str) -> None:
     P0, A, Q, H, r, ys = CASES[name]
     mean, cov = smoothed_exactly(P0, A, Q, H, r, ys)

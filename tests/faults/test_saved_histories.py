@@ -53,7 +53,7 @@ def outcome(call):
 
 
 @QUIET
-@pytest.mark.parametrize("name", SMOOTHED)
+@pytest.mark.parametrize("name", each(list(SMOOTHED), {"MarginalizedParticleFilter, one state", "JumpMarkovFilter"}))
 def test_loaded_histories_go_on(name, tmp_path):
     filter = examples()[name]
     first = mo.run(0, filter, MODEL, YS[:4], keep=mo.keep.laws)

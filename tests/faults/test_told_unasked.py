@@ -15,6 +15,8 @@ from motes.filters import notices
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
 import discovery
 
+from tiers import each
+
 MARKS = jnp.array([[10.0, 0], [0, 10], [-10, 0], [0, -10]])
 RANGES = mo.AdditiveGaussian(lambda x, u, t: jnp.hypot(MARKS[:, 0] - x[0], MARKS[:, 1] - x[1]), 1e-4 * np.eye(4))
 SHARP = mo.StateSpaceModel(mo.Gaussian([0.0, 0.0], np.eye(2)), mo.LinearGaussian(np.eye(2), 0.1 * np.eye(2)), RANGES, ("a", "b"))
@@ -28,7 +30,7 @@ def warned(call):
     return result, [str(one.message) for one in found if issubclass(one.category, mo.MotesWarning)]
 
 
-@pytest.mark.parametrize("name", STARVING)
+@pytest.mark.parametrize("name", each(list(STARVING), {"AuxiliaryParticleFilter"}))
 def test_starvation_at_the_first_step(name):
     _, ys = mo.simulate(3, SHARP, 3)
     filter = discovery.example(discovery.filter_classes()[name], on_collapse="predict")

@@ -88,6 +88,7 @@ def test_custom_model_equals_its_additive_twin():
     assert mo.structure(model, first).linear == ()
 
 
+@pytest.mark.night
 def test_noise_of_another_law_is_split_where_it_can_be():
     """A sensor with Student-t noise that sees only the position leaves the velocity to the Kalman part."""
     model = mo.StateSpaceModel(

@@ -72,6 +72,7 @@ def test_a_mixture_without_data_has_uniformly_many_components():
         assert abs(share.mean() - 0.1) < 4.9 * mo.mcmc.standard_error(share) + 1e-3
 
 
+@pytest.mark.night
 def test_sinusoids_are_counted():
     sinusoids = runpy.run_path(str(EXAMPLES / "sinusoids" / "run.py"))
     log_density, kernel, start = sinusoids["problem"](sinusoids["signal"]())
@@ -84,6 +85,7 @@ def test_sinusoids_are_counted():
     assert np.isfinite(float(log_density(mo.mcmc.Configuration(jnp.int32(1), jnp.zeros(6).at[0].set(1.0)))))
 
 
+@pytest.mark.night
 def test_volatility_by_grid_and_by_particles_is_the_same_density():
     pound = runpy.run_path(str(EXAMPLES / "pound" / "run.py"))
     h = np.cumsum(np.random.default_rng(0).normal(size=80) * 0.2)

@@ -124,7 +124,7 @@ def p_values(prior, chains):
     return np.array(found)
 
 
-@pytest.mark.parametrize("name", each(list(TEMPLATES), {"change points"}))
+@pytest.mark.parametrize("name", each(list(TEMPLATES), {"change points", "birth and death"}))
 def test_without_data_the_prior_comes_back(name):
     prior = TEMPLATES[name]
     chains = after_jumps(prior)

@@ -227,6 +227,7 @@ def test_chunks_of_rebuilt_models_compile_nothing_anew():
     np.testing.assert_array_equal(first.mean, second.mean)
 
 
+@pytest.mark.night
 def test_transformations_see_what_functions_close_over(double):
     ys = jnp.asarray(mo.simulate(0, cubic(), 5)[1])
 

@@ -59,7 +59,7 @@ def runs(filter, model, ys=YS, key=5, **options):
 
 @needs_compiler
 @pytest.mark.parametrize("kind", FILTERS)
-@pytest.mark.parametrize("name", each(list(MODELS), {"correlated noises", "turning", "linear dynamics"}))
+@pytest.mark.parametrize("name", each(list(MODELS), {"correlated noises", "turning", "linear dynamics", "measured and hidden"}))
 def test_results_of_jax_without_resampling(kind, name):
     """Nothing is chaotic without resampling: every number of the history agrees."""
     filter = FILTERS[kind](n=1500, policy=mo.Never(), on_collapse="predict")
@@ -91,7 +91,7 @@ def test_likelihood_of_jax_with_resampling(kind, policy):
 
 @needs_compiler
 @pytest.mark.parametrize("model", each(["linear dynamics", "turning"], {"linear dynamics"}))
-@pytest.mark.parametrize("kind", FILTERS)
+@pytest.mark.parametrize("kind", each(list(FILTERS), {"bootstrap"}))
 def test_same_bits_however_it_runs(kind, model):
     filter, model = FILTERS[kind](n=7000), MODELS[model]
     with mo.engine("native"):
@@ -111,6 +111,7 @@ def test_same_bits_however_it_runs(kind, model):
     assert whole.engine == "native" and not np.array_equal(scaled[0], scaled[1])
 
 
+@pytest.mark.night
 @needs_compiler
 @pytest.mark.parametrize("kind", each(list(FILTERS), {"marginalized"}))
 def test_gradients_are_those_of_jax(kind):
@@ -126,6 +127,7 @@ def test_gradients_are_those_of_jax(kind):
     assert np.allclose(ours, wanted, rtol=2e-3) and abs(wanted[1]) > 0.01
 
 
+@pytest.mark.night
 @needs_compiler
 def test_collapse_is_seen():
     ys = YS.copy()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import motes as mo
+from tiers import each
 
 pytestmark = pytest.mark.jax
 
@@ -37,7 +38,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("filter", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("filter", each(CASES, {"squares", "local"}))
 def test_every_step_obeys_the_recursion(filter, double):
     """Risks and costs, selection, adapted scale and estimates, from the particles that the filter drew."""
     model = beacons()

@@ -10,6 +10,7 @@ from motes.core.record import replace
 from motes.models.textbook import growth
 
 
+@pytest.mark.night
 def test_particle_filter_is_within_three_percent_of_the_exact_filter():
     model = growth()
     exact = mo.PointMassFilter(-45.0, 45.0, 1200)
@@ -48,6 +49,7 @@ def test_guided_filter_agrees_with_the_exact_one(double):
     assert abs(ratio.mean() - 1) < 4 * ratio.std() / 10
 
 
+@pytest.mark.night
 def test_point_mass_filter_equals_the_kalman_filter_on_linear_models(double):
     model = mo.StateSpaceModel(
         mo.Gaussian([1.0, 0.0], [[1.0, 0.2], [0.2, 0.8]]),

@@ -12,6 +12,7 @@ from scipy.stats import norm
 import motes as mo
 from data import recorded
 from motes.io.tables import read_table
+from tiers import each
 
 pytestmark = pytest.mark.jax
 
@@ -73,6 +74,7 @@ def check_exact(history, ys, chain=lambda t: CHAIN):
     assert abs(float(history.log_likelihood) - evidence) < 1e-6
 
 
+@pytest.mark.night
 def test_every_path_of_modes_is_summed_while_particles_last(double):
     """Mode probabilities, means and log likelihood equal enumeration, with components and whole rows missing.
 
@@ -87,6 +89,7 @@ def test_every_path_of_modes_is_summed_while_particles_last(double):
     check_exact(history, ys, lambda t: np.asarray(chain({"row": jnp.asarray(rows[t])}, t)))
 
 
+@pytest.mark.night
 def test_fewer_particles_than_paths_leave_the_likelihood_unbiased(double):
     """Mean ratio to the exact likelihood over 1000 seeds is one (level 1e-6), and the law is near the exact one."""
     ys = measured(6)
@@ -118,7 +121,7 @@ def levels(values=(0.0, 1.0, 2.5)):
             mo.AdditiveGaussian(lambda x, u, t, value=value: x + value, [[0.5 + value]])) for value in values]  # fmt: skip
 
 
-@pytest.mark.parametrize("filter", [mo.InteractingMultipleModel(), mo.JumpMarkovFilter(n=3**7)], ids=["mixing", "particles"])
+@pytest.mark.parametrize("filter", each({"mixing": mo.InteractingMultipleModel(), "particles": mo.JumpMarkovFilter(n=3**7)}, {"particles"}))
 def test_without_uncertain_states_the_forward_recursion_of_a_hidden_markov_model(filter, double):
     ys = np.array([0.2, 1.4, np.nan, 3.0, 0.9, -0.3, 0.1, 2.0])[:, None]
     history = mo.run(0, filter, mo.JumpMarkovModel(START, CHAIN, levels()), ys, keep=mo.keep.modes)
@@ -140,7 +143,7 @@ def test_a_mode_that_cannot_be_hides_no_collapse():
         mo.run(0, mo.InteractingMultipleModel(), mo.JumpMarkovModel([1.0, 0.0], np.eye(2), parts), np.array([[0.1], [0.2], [1e4]]))
 
 
-@pytest.mark.parametrize("filter", [mo.InteractingMultipleModel(), mo.JumpMarkovFilter(n=8)], ids=["mixing", "particles"])
+@pytest.mark.parametrize("filter", each({"mixing": mo.InteractingMultipleModel(), "particles": mo.JumpMarkovFilter(n=8)}, {"mixing"}))
 def test_one_mode_is_the_extended_kalman_filter(filter, double):
     model = mo.StateSpaceModel(
         mo.Gaussian([1.0, 0.3], [[0.4, 0.1], [0.1, 0.2]]),
@@ -163,8 +166,9 @@ def alternating():
     return mo.JumpMarkovModel([0.7, 0.3], [[0.02, 0.98], [0.98, 0.02]], [part(-1.0), part(1.5)])
 
 
-@pytest.mark.parametrize("filter", [mo.InteractingMultipleModel(), mo.JumpMarkovFilter(n=30), mo.JumpMarkovFilter(n=300, sampled=(0,))],
-                         ids=["mixing", "particles", "drawn"])  # fmt: skip
+@pytest.mark.parametrize("filter", each({
+    "mixing": mo.InteractingMultipleModel(), "particles": mo.JumpMarkovFilter(n=30), "drawn": mo.JumpMarkovFilter(n=300, sampled=(0,)),
+}, {"particles"}))
 def test_an_alternating_chain_is_tracked(filter):
     """The mode moves at 98 percent of the steps, and the filter says which it is."""
     xs, ys = map(np.array, mo.simulate(4, alternating(), 300))
@@ -175,6 +179,7 @@ def test_an_alternating_chain_is_tracked(filter):
     assert (probable[1:] != probable[:-1]).mean() > 0.9
 
 
+@pytest.mark.night
 def test_drawn_states_and_the_joined_model_agree_with_a_grid(double):
     """A curved sensor: the point-mass filter on state and mode is the exact answer for particles with and without a Kalman part."""
     def part(slope, level, variance):
@@ -203,6 +208,7 @@ def nile():
     return mo.JumpMarkovModel([0.98, 0.02], [[0.98, 0.02]] * 2, [part(100.0), part(100.0 + 300.0**2)])
 
 
+@pytest.mark.night
 def test_nile_with_rare_breaks_has_the_likelihood_of_a_grid():
     """2000 particles are within 0.6 of the point-mass filter (within 0.001 in float64), and 100 have a deviation of 0.007."""
     flow = read_table(recorded("timeseries/nile.csv"))["value"][:, None]

@@ -9,11 +9,12 @@ import motes as mo
 from motes.core import random
 from motes.models import linearize
 from oracles.test_linear_gaussian import four_states
+from tiers import each
 
 REPEATS = 2000
 
 
-@pytest.mark.parametrize("slope", ["sigma", "jacobian"])
+@pytest.mark.parametrize("slope", each(["sigma", "jacobian"], {"sigma"}))
 def test_equals_the_kalman_filter_on_linear_models(slope, double):
     _, model = four_states()
     ys = np.array(mo.simulate(3, model, 25)[1])
@@ -104,7 +105,7 @@ def bimodal():
 
 
 @pytest.mark.parametrize("filter", [
-    mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4),
+    pytest.param(mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4), marks=pytest.mark.night),
     # a slope at the center alone leaves the curvature over a kernel out of account: it needs smaller kernels
     pytest.param(mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=1, slope="jacobian", kernels=mo.SplitKernels(cap=0.15)),
                  marks=pytest.mark.night),
@@ -142,6 +143,7 @@ def test_regression_is_exact_for_second_degree(double):
     assert np.isclose(found.unexplained[0, 0, 0], 3 * np.sum(bends**2) - np.sum(bends) ** 2)
 
 
+@pytest.mark.night
 def test_nonlinear_dynamics_are_linearized_at_each_kernel():
     """Turning states, seen by a range: close to a particle filter with many particles."""
     def turn(x, u, t):

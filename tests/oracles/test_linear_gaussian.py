@@ -93,6 +93,7 @@ def test_linear_functions_need_not_be_matrices(case):
 PARTITIONS = [(), ("vx",), ("px", "py"), ("vx", "vy"), ("py", "vx", "vy"), ("px", "py", "vx", "vy")]
 
 
+@pytest.mark.night
 def test_every_partition_agrees_and_marginalizing_lowers_the_variance(case):
     """Means within Monte Carlo error (level 1e-6 over all tests of means); variance of the log likelihood falls with each move."""
     parts, model, ys = case

@@ -63,7 +63,7 @@ GUIDED = {
 }
 
 
-@pytest.mark.parametrize("name", each(list(GUIDED), {"unscented", "auxiliary, now and then"}))
+@pytest.mark.parametrize("name", each(list(GUIDED), {"unscented", "auxiliary, now and then", "optimal"}))
 def test_likelihood_and_means_are_those_of_the_kalman_filter(name, double):
     """A state without noise, a row and a component missing; level 1e-6 for the likelihood and for all means together."""
     # scored by p(y | mean), second-stage weights have a variance only where R is wide beside the process noise
@@ -75,6 +75,7 @@ def test_likelihood_and_means_are_those_of_the_kalman_filter(name, double):
     check_means(means, exact.mean, 100)
 
 
+@pytest.mark.night
 def test_local_proposals_are_the_optimal_one_where_the_sensor_is_linear(double):
     """The same draws give the same history: the weights of the local ones are three densities, of the optimal one the evidence."""
     model = linear()
@@ -149,6 +150,7 @@ NONLINEAR = {
 }  # fmt: skip
 
 
+@pytest.mark.night
 @pytest.mark.parametrize(("name", "state_noise"), [
     pytest.param(n, i % 2 == 1, id=n, marks=[pytest.mark.night] * ("unscented" in n or n == "auxiliary")) for i, n in enumerate(NONLINEAR)])
 def test_nonlinear_models_against_the_grid(name, state_noise, double):
@@ -186,6 +188,7 @@ def test_float32_holds_for_a_sharp_sensor():
         assert done.log_weight.dtype == np.float32 and np.abs(np.asarray(done.log_weight) - wanted).max() < 0.05
 
 
+@pytest.mark.night
 def test_a_hopeless_measurement_is_a_collapse():
     model = linear()
     ys = np.asarray(measured(model, 4, gaps=False)).copy()

@@ -31,6 +31,7 @@ def program(monkeypatch):
     sys.modules.pop("reproduce", None)
 
 
+@pytest.mark.night
 def test_tables_and_pictures_are_written(program, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(sys, "argv", ["reproduce.py", "fifteen", "--runs", "2", "--out", str(tmp_path)])
     program.main()

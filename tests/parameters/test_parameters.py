@@ -54,6 +54,7 @@ def close(draws, exact, allowed=0.0):
             assert abs(values.mean() - truth) < 4.9 * mcmc.standard_error(values) + allowed * np.sqrt(cov[k, k])
 
 
+@pytest.mark.night
 def test_particle_marginal_metropolis_hastings(exact):
     kernel = mcmc.Adaptive(mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis()), steps=500)
     chains = mo.sample(0, kernel, BY_PARTICLES, BY_PARTICLES.starts, draws=1_500, chains=8, burn_in=500)
@@ -70,6 +71,7 @@ def test_correlated_chains(exact):
     close(chains.positions, exact)
 
 
+@pytest.mark.night
 def test_renewed_numbers_keep_most_of_the_likelihood():
     longer = mo.simulate(4, model(jnp.array([0.5, -0.7])), 100)[1]
     theta = jnp.array([0.4, -0.6])
@@ -97,7 +99,8 @@ def test_every_step_is_renewed_equally_often():
     assert np.abs(counts / 5_000 - 4 / 15).max() < 4.9 * np.sqrt(4 / 15 * 11 / 15 / 5_000)
 
 
-@pytest.mark.parametrize("paths", [parameters.ParticleGibbs(15), parameters.RaoBlackwellizedParticleGibbs(1)],
+@pytest.mark.parametrize("paths", [
+    parameters.ParticleGibbs(15), pytest.param(parameters.RaoBlackwellizedParticleGibbs(1), marks=pytest.mark.night)],
                          ids=["plain", "marginalized"])  # fmt: skip
 def test_particle_gibbs(exact, paths):
     chains = mo.sample(0, mcmc.Cycle([paths, GIBBS.kernels[1]]), PATHS, PATHS.start, draws=2_000, chains=8, burn_in=200)
