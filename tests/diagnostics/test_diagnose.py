@@ -71,7 +71,11 @@ def test_claims_that_are_too_small_or_too_large():
     for scale, name in ((0.1, "overconfident"), (8.0, "cautious")):
         history = mo.run(1, mo.KalmanFilter(), model(q=scale, r=0.5 * scale), YS)
         assert name in mo.diagnose(history, XS)
-    assert "surprise" in mo.diagnose(mo.run(1, mo.KalmanFilter(), model(q=0.1, r=0.05), YS))
+    bold = mo.diagnose(mo.run(1, mo.KalmanFilter(), model(q=0.1, r=0.05), YS))
+    assert "surprise" in bold and "more particles" not in str(bold)
+    for filter in (mo.KalmanFilter(), mo.ParticleFilter(n=500)):
+        timid = mo.diagnose(mo.run(1, filter, model(q=8.0, r=4.0), YS))
+        assert "small innovations" in timid and timid.trusted
 
 
 def test_likelihoods_that_are_no_numbers():
@@ -82,6 +86,9 @@ def test_likelihoods_that_are_no_numbers():
     odd = mo.StateSpaceModel(base.initial, base.dynamics, sensor, base.names)
     found = mo.diagnose(mo.run(1, mo.ParticleFilter(n=500), odd, np.ones((4, 1))))
     assert "invalid" in found and "likelihood that is not a number" in str(found)
+    nowhere = mo.StateSpaceModel(base.initial, base.dynamics, mo.AdditiveGaussian(lambda x, u, t: jnp.sqrt(x[:1] - 100), [[0.5]]), base.names)
+    with pytest.raises(mo.CollapseError, match="500 of them are not numbers: look for roots"):
+        mo.run(1, mo.ParticleFilter(n=500), nowhere, np.ones((4, 1)))
 
 
 def test_bad_input_is_named():

@@ -190,7 +190,10 @@ CASES = {
     "partly missing": (
         lambda: run_with(ys=np.array([[1.0, 2.0], [np.nan, 1.0]]), model=good_model(sensor=mo.Custom(log_prob=lambda y, x, u, t: -jnp.sum((y - x) ** 2)))),
         "ys: expected rows without NaN, or all NaN (Custom cannot leave out single components), got row 1 partly NaN"),
-    "nothing kept": (lambda: run_with(keep=mo.keep.nothing).mean, "history.mean: expected a run that kept it (nothing was kept), got none"),
+    "one variance": (
+        lambda: mo.LinearGaussian(np.eye(1), 0.5),
+        "LinearGaussian Q: expected the covariance matrix of a noise, or a function that returns it, got shape (). One variance is [[v]]"),
+    "nothing kept": (lambda: run_with(keep=mo.keep.nothing).mean, "history.mean: expected a run that kept it, got one that kept nothing"),
 }
 
 

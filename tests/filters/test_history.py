@@ -27,6 +27,8 @@ def test_xarray_and_netcdf(history, tmp_path):
     assert np.array_equal(again["cov"], history.cov) and float(again["log_likelihood"]) == float(history.log_likelihood)
     assert "MarginalizedParticleFilter" in again.attrs["filter"] and again.attrs["jax_version"]
     assert [path.name for path in tmp_path.iterdir()] == ["run.nc"]
+    with pytest.raises(mo.FileError, match="expected a history saved as .npz, got a NetCDF file"):
+        mo.History.load(tmp_path / "run.nc")
 
 
 def test_numpy_file_brings_everything_back(history, tmp_path):

@@ -17,6 +17,8 @@ FAR = 12.5
 """Nats below a perfect fit, five standard deviations: a best particle or a prediction this far off has been surprised."""
 IN_A_ROW = 3
 """So many surprises one after the other are no outlier any more."""
+MILD = 0.5
+"""Innovations so much smaller (squared) than was predicted of them are called small; noises with heavy tails seldom average so little."""
 SCARCE = 0.02
 """Share of the particles below which a median effective sample size is called low."""
 LEVEL = 0.999
@@ -27,7 +29,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     """Judge a run and say in words what is wrong and what to try.
 
     Looks for what `run` warns of (collapse, numbers too coarse for their noise, starvation at any step, the alarm), for measurements that
-    lie far from what was predicted, low effective sample sizes, likelihoods that are not numbers; at states that look like angles which
+    lie far from what was predicted, or so near that the noises must be too large, low effective sample sizes, likelihoods that are not numbers; at states that look like angles which
     nobody declared; in runs with kept laws at heavy-tailed weights and degenerate paths; with the truth at covariances too small or large.
 
     Args:
@@ -67,10 +69,13 @@ def _surprise(history: History) -> list[Finding]:
     degrees = int(freedom.sum())
     if degrees < 1:
         return []
-    ratio, most = surprise[freedom > 0].sum() / freedom.sum(), chi_square_band(degrees, 1, LEVEL).high / degrees
+    ratio, band = surprise[freedom > 0].sum() / freedom.sum(), chi_square_band(degrees, 1, LEVEL)
+    text, most = f"innovations are {ratio:.2g} times as large (squared) as was predicted of them.", band.high / degrees
     if ratio > most:
-        text = f"innovations are {ratio:.2g} times as large (squared) as was predicted of them."
-        return [Finding("surprise", text, "Raise the noises, use more particles, or look for what the model leaves out.", ratio > 2 * most)]
+        advice = f"Raise the noises, {'use more particles, ' * history.weighs}or look for what the model leaves out."
+        return [Finding("surprise", text, advice, ratio > 2 * most)]
+    if ratio < min(MILD, band.low / degrees):
+        return [Finding("small innovations", text, "Lower the noises of the dynamics, of the sensor, or of both.", False)]
     return []
 
 
@@ -121,7 +126,8 @@ def _consistency(history: History, truth: Any, angles: tuple[int, ...]) -> Findi
     band = chi_square_band(size, max(1, len(squares) // 10), LEVEL)
     if average > band.high / size:
         text = f"errors are {average:.2g} times as large (squared) as the covariances claim."
-        return Finding("overconfident", text, "More process noise, more particles, or regularization.", average > 2 * band.high / size)
+        advice = "More process noise, more particles, or regularization." if history.weighs else "More process noise, or another filter."
+        return Finding("overconfident", text, advice, average > 2 * band.high / size)
     if average < band.low / size:
         text = f"errors are {average:.2g} times as large (squared) as the covariances claim."
         return Finding("cautious", text, "Lower the noises.", False)

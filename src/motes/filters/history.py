@@ -16,6 +16,7 @@ from motes.filters.interface import Info
 from motes.io import archive
 from motes.laws.spelled import UnspelledError, restored, spelled
 
+_KEPT_BY = {"law": "laws", "mode_probabilities": "modes"}
 _TRAITS = ("has_evidence", "weighs", "subtracts", "particles", "engine", "descends")
 """What a file says of the filter beside its name; files of version 0.1 have not all of it."""
 
@@ -80,8 +81,8 @@ class History:
 
     def _kept(self, name: str) -> Any:
         if name not in self.kept:
-            checks.refuse(f"history.{name}", f"a run that kept it ({', '.join(self.kept) or 'nothing'} was kept)", "none",
-                          f"Run with keep=mo.keep.{'modes' if name == 'mode_probabilities' else 'moments or mo.keep.laws'}.")
+            checks.refuse(f"history.{name}", "a run that kept it", f"one that kept {' and '.join(self.kept) or 'nothing'}",
+                          f"Run with keep=mo.keep.{_KEPT_BY.get(name, 'moments or mo.keep.laws')}.")
         return self.kept[name]
 
     @property
@@ -145,6 +146,9 @@ class History:
         # a density of zero everywhere is no matter of how many particles there are
         cure = ("If the sensor has no noise in some component: give it a little, or use OptimalProposal or a Kalman filter"
                 if highest == -np.inf else "Check the measurement and the noises, use more particles")  # fmt: skip
+        if self.info.invalid[where]:
+            cure = (f"{int(self.info.invalid[where])} of them are not numbers: look for roots and logarithms of negative numbers in dynamics "
+                    "and sensor")  # fmt: skip
         raise checks.CollapseError(
             f"step {int(self.start) + where}: all weights vanished: log likelihoods between {lowest:.4g} and {highest:.4g}; "
             f"no particle explains the measurement ({self.label.split('(')[0]}). {cure}, or set on_collapse='predict' or 'inflate'."
@@ -219,6 +223,9 @@ class History:
             FileError: the file is no history, or is damaged.
         """
         path = Path(path)
+        if path.suffix == ".nc":
+            checks.refuse(str(path), "a history saved as .npz", "a NetCDF file, which xarray.open_dataset reads",
+                          "Save with history.save('run.npz') to load it.", checks.FileError)
         tree, texts = archive.read_tree(path, "history", lambda forms, texts: _check_forms(path, forms, texts))
         mean = tree.get("kept", {}).get("mean", np.zeros(()))
         if not isinstance(mean, dict) and not np.isfinite(mean).all():

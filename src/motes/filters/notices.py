@@ -111,7 +111,7 @@ def alarm(history: History) -> Finding | None:
     if not steps.size:
         return None
     text = f"alarm at {at(history, steps)}: measurements scatter more than was predicted of them."
-    return Finding("alarm", text, "Raise the noises, look for what the model leaves out, or use more particles.", True)
+    return Finding("alarm", text, f"Raise the noises, or look for what the model leaves out{', or use more particles' * history.weighs}.", True)
 
 
 def at(history: History, steps: np.ndarray) -> str:

@@ -110,8 +110,11 @@ def check_matrix(argument: str, value: Any, shape: tuple[int | None, int | None]
 
 def check_noise_cov(argument: str, value: Any, definite: bool = False) -> Any:
     """Return a noise covariance given as an array (checked, as floats) or as a function (left alone)."""
-    value = check_matrix(argument, value)
     if not callable(value):
+        value = checks.as_float(argument, value)
+        if value.ndim < 2:
+            checks.refuse(argument, "the covariance matrix of a noise, or a function that returns it", f"shape {value.shape}",
+                          "One variance is [[v]], several are np.diag(v).")
         checks.covariance(argument, value, value.shape[0], definite)
     return value
 
