@@ -12,7 +12,8 @@ import motes as mo
 from motes.filters import run as running
 from motes.filters import stream as streaming
 from motes.models import simulate as simulating
-from motes.models.canonical import Program, canonical
+from motes.models.canonical import canonical
+from motes.tracing.identity import Program
 
 X = jax.ShapeDtypeStruct((2,), jnp.float32)
 

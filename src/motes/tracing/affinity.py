@@ -17,8 +17,8 @@ import numpy as np
 from jax.core import ShapedArray
 
 from motes.core import checks
-from motes.models.affinity_rules import apply
-from motes.models.affinity_values import (
+from motes.tracing.affinity_rules import apply
+from motes.tracing.affinity_values import (
     KNOWN_LIMIT,
     Value,
     any_element,

@@ -1,7 +1,7 @@
 """A user function as its traced program: two are equal when their programs are.
 
 A program is all of a function's operations with their parameters, closed-over numbers by type, shape and bytes, inputs and outputs. Each
-function is traced once on the shapes of its arguments, and again when what it reads has changed since (`core.reading`), or where that is
+function is traced once on the shapes of its arguments, and again when what it reads has changed since (`reading.py`), or where that is
 not known. A function that cannot be compared in this way (it closes over tracers, calls back into Python, has effects) is compared by its
 identity and by what it reads.
 """
@@ -22,8 +22,8 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from motes.core import told
 from motes.core.checks import MotesError
-from motes.core.reading import Reading, changes
 from motes.core.record import is_function
+from motes.tracing.reading import Reading, changes
 
 _settings = attrgetter("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion",
                        "jax_default_prng_impl", "jax_threefry_partitionable", "jax_softmax_custom_jvp", "jax_disable_jit")
@@ -47,7 +47,7 @@ class Program:
 
     @property
     def read_as(self) -> Any:
-        """What `core.reading` looks at."""
+        """What `reading.py` looks at."""
         return self.function
 
     def __call__(self, *args: Any) -> Any:
