@@ -8,11 +8,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import Primitive
 
 from motes.core.checks import refuse
 from motes.core.record import is_function
 from motes.tracing.identity import Program, Rule
+from motes.tracing.internals import Primitive
 
 
 def fingerprint(argument: str, value: Any) -> str:
