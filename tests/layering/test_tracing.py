@@ -4,7 +4,6 @@ import ast
 
 from sources import SOURCE
 
-
 CALLS = ("custom_jvp_call", "custom_vjp_call", "custom_vmap_call", "closed_call", "remat2")
 INSIDES = ("jax._src.", "jax.extend.", "jax.interpreters.")
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.custom_batching import custom_vmap
 
 from motes.tracing.identity import Program, canonical_function
 
@@ -35,6 +36,25 @@ def _flat(x):
 
 _flat.defjvp(lambda primals, tangents: (_flat(primals[0]), 0 * tangents[0]))
 
+
+
+def _mapped(function, rule):
+    made = custom_vmap(function)
+    made.def_vmap(rule)
+    return made
+
+
+def _together(size, batched, x):
+    return 2 * x, batched[0]
+
+
+def _apart(size, batched, x):
+    return jax.lax.map(lambda z: 2 * z, x), batched[0]
+
+
+_doubled, _doubled_apart, _tripled = (_mapped(*pair) for pair in (
+    (lambda x: 2 * x, _together), (lambda x: 2 * x, _apart), (lambda x: 3 * x, _together)))  # fmt: skip
+
 PAIRS = {
     "constant": (lambda x, u, t: 2.0 * x, lambda x, u, t: 2.0000002 * x),
     "sign of zero": (lambda x, u, t: 1 / (0.0 * x), lambda x, u, t: 1 / (-0.0 * x)),
@@ -50,6 +70,9 @@ PAIRS = {
         lambda x, u, t: jax.lax.fori_loop(0, 4, lambda i, v: v * 2, x),
     ),
     "derivative rule": (lambda x, u, t: _steep(x), lambda x, u, t: _flat(x)),
+    "derivative rule, jitted": (lambda x, u, t: jax.jit(_steep)(x), lambda x, u, t: jax.jit(_flat)(x)),
+    "rule for many": (lambda x, u, t: _doubled(x), lambda x, u, t: _doubled_apart(x)),
+    "function with a rule for many": (lambda x, u, t: _doubled(x), lambda x, u, t: _tripled(x)),
     "kind of result": (lambda x, u, t: x, lambda x, u, t: [x[0], x[1]]),
 }
 
