@@ -14,6 +14,7 @@ import motes as mo
 from contract.discovery import examples
 from motes.filters import run as running
 from motes.models.canonical import canonical
+from motes.tracing import identity
 from motes.tracing.reading import Reading
 
 GAIN, TABLE, SETTINGS, FIXED = 0.5, np.array([0.5, 2.0]), {"gains": [1.0, {"first": 0.5}]}, jnp.array([0.5])

@@ -16,15 +16,15 @@ V = TypeVar("V")
 class Rules(Protocol[V]):
     """What stands for literals, constants and the results of operations."""
 
-    def literal(self, atom: Any) -> V:
+    def literal(self, atom: Any, /) -> V:
         """Return what stands for a number in an equation; `atom.val` is the number."""
         ...
 
-    def constant(self, variable: Any, value: Any) -> V:
+    def constant(self, variable: Any, value: Any, /) -> V:
         """Return what stands for an array that the program holds."""
         ...
 
-    def step(self, equation: Any, operands: list[V]) -> Sequence[V]:
+    def step(self, equation: Any, operands: list[V], /) -> Sequence[V]:
         """Return what stands for the results of an equation; a program inside it is walked through by `walk` once more, or not."""
         ...
 
