@@ -12,10 +12,10 @@ import pytest
 
 import motes as mo
 from contract.discovery import examples
-from motes.core.reading import Reading
 from motes.filters import run as running
-from motes.models import programs
 from motes.models.canonical import canonical
+from motes.tracing import identity
+from motes.tracing.reading import Reading
 
 GAIN, TABLE, SETTINGS, FIXED = 0.5, np.array([0.5, 2.0]), {"gains": [1.0, {"first": 0.5}]}, jnp.array([0.5])
 MODULE = types.ModuleType("settings_of_a_test")
@@ -204,7 +204,7 @@ def test_a_rebuilt_model_runs_the_new_numbers(name):
 def test_functions_looked_at_once_are_found(monkeypatch):
     """The twin: a reading that sees nothing gives old numbers."""
     f = lambda x, u, t: GAIN * x  # noqa: E731
-    monkeypatch.setattr(programs, "Reading", lambda value: types.SimpleNamespace(text="", helpers=set()))
+    monkeypatch.setattr(identity, "Reading", lambda value: types.SimpleNamespace(text="", helpers=set()))
     before = known(f)
     set_gain(0.25)
     assert known(f) == before

@@ -10,7 +10,7 @@ import pytest
 import motes as mo
 from motes.core import random
 from motes.filters.run import _run
-from motes.models.programs import Beside
+from motes.tracing.identity import Beside
 
 N = 20_000
 SHORT, LONG = 100, 10_000

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.custom_batching import custom_vmap, sequential_vmap
 from native_tools import by_jax, natively, needs_compiler
 
 from motes.core import random
@@ -30,6 +31,21 @@ def squared(x):
 
 
 squared.defjvp(lambda primals, tangents: (primals[0] ** 2, 2 * primals[0] * tangents[0]))
+
+asked = []
+
+
+@custom_vmap
+def doubled(x):
+    """A function with a rule of its own for doing it many times."""
+    return 2 * x
+
+
+@doubled.def_vmap
+def _(size, batched, x):
+    asked.append(size)
+    return 2 * x, batched[0]
+
 
 SMOOTH = (jnp.exp, jnp.expm1, jnp.log1p, jnp.sin, jnp.cos, jnp.tan, jnp.arcsin, jnp.arccos, jnp.arctan, jnp.sinh, jnp.cosh, jnp.tanh,
           jnp.arcsinh, jnp.arctanh, jnp.exp2, jnp.cbrt, jax.nn.sigmoid, jax.nn.softplus, jax.scipy.special.erf)  # fmt: skip
@@ -63,6 +79,7 @@ PROGRAMS = {
     "softplus": each(lambda x: jax.nn.softplus(x) + jax.nn.relu(x) + jax.nn.sigmoid(x)),
     "nan": each(lambda x: jnp.where(x > 0, jnp.log(x), jnp.nan)),
     "whole cloud": lambda X: [jnp.roll(X, 1, axis=0) * jnp.float32(2) + jnp.zeros((3, 1))],
+    "whole cloud, rule for many": lambda X: [doubled(X) * doubled(jnp.float32(0.25)) + jax.checkpoint(jnp.sin)(X)],
     "two steps": each(lambda x: jax.lax.fori_loop(0, 1, lambda i, z: z + 1, x) if False else jnp.flip(x) + jnp.cumsum(jnp.ones(3))),
 }
 
@@ -98,6 +115,13 @@ def natively_traced(function, X):
     return call_move(stage, stage.words, jnp.arange(X.shape[1], dtype=jnp.int32), [jnp.asarray(X)])[0]
 
 
+@needs_compiler
+def test_what_no_particle_enters_keeps_its_rule_for_many():
+    asked.clear()
+    ours = jax.vmap(lambda scale: natively_traced(lambda X: [doubled(scale) * X], X))(np.array([0.5, 2.0], np.float32))
+    assert set(asked) == {2} and np.allclose(ours, [X, 4 * X])
+
+
 ACROSS = {
     "mean over particles": lambda X: [X - X.mean(axis=1, keepdims=True)],
     "neighbors": lambda X: [jnp.roll(X, 1, axis=1)],
@@ -114,6 +138,7 @@ ACROSS = {
     "matrix of particles": lambda X: [(X @ X.T) @ X],
     "own numbers of each": lambda X: [X + jax.random.normal(jax.random.key(0), X.shape)],
     "key of each": lambda X: [X + jax.vmap(lambda key: jax.random.uniform(key))(jax.random.split(jax.random.key(0), X.shape[1]))],
+    "our numbers, rule for many": lambda X: [X + sequential_vmap(lambda key: random.normal(key, X.shape, jnp.float32))(jax.random.key(0))],
     "our numbers, sums over particles": lambda X: [X + random.normal(jax.random.key(0), X.shape, jnp.float32).sum(axis=1)[:, None]],
 }
 

@@ -10,14 +10,14 @@ import jax.numpy as jnp
 
 from motes.bounds.bound import Bound
 from motes.core import checks
-from motes.core.compiling import jitted
 from motes.core.types import Inputs
 from motes.filters.needs import as_state_space
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
-from motes.models.programs import Beside
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 KIND = "Kalman filter at the true track"
 

@@ -22,16 +22,16 @@ import numpy as np
 
 from motes.bounds.bound import Bound
 from motes.core import checks, linalg, random
-from motes.core.compiling import jitted
 from motes.core.types import Inputs, KeyLike
 from motes.filters.needs import as_state_space
 from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
-from motes.models.programs import Beside
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
 from motes.models.structure import trace
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 KIND = "posterior Cramer-Rao bound"
 

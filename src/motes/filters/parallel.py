@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, linalg
-from motes.core.compiling import jitted
 from motes.core.logspace import RunningSum
 from motes.core.record import replace
 from motes.core.types import Inputs
@@ -24,8 +23,9 @@ from motes.laws.density import among, measured_in, zeroed
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.canonical import canonical, one_of
-from motes.models.programs import Beside
 from motes.models.state_space import StateSpaceModel, at_step, driven
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 
 class _Element(NamedTuple):

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.compiling import jitted
 from motes.core.logspace import RunningSum
 from motes.core.record import replace, values
 from motes.core.types import Inputs, KeyLike
@@ -25,10 +24,11 @@ from motes.laws.conditional import Conditional
 from motes.models.canonical import canonical, canonical_conditional, one_of, shape_of
 from motes.models.jump_markov import JumpMarkovModel, modes_of
 from motes.models.mixed_linear import MixedLinearModel
-from motes.models.programs import Beside
 from motes.models.state_space import Previous, StateSpaceModel, at_step, checked_inputs, circular, decorrelated, measurement_size
 from motes.native import report
 from motes.resampling import gradients
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 
 def run(

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.compiling import jitted
 from motes.core.types import Inputs, KeyLike
 from motes.filters.history import Carry, History, ask_evidence
 from motes.filters.interface import Filter, Info
@@ -17,9 +16,10 @@ from motes.filters.run import Engine, canonical_parts, checked_data, refuse_infi
 from motes.io import archive
 from motes.io.members import Form
 from motes.models.canonical import shape_of
-from motes.models.programs import Beside
 from motes.models.state_space import numbers_of
 from motes.native import report
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 
 def _engine(form: Any, parts: list[Any]) -> Engine:

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.compiling import jitted
 from motes.core.progress import tracked
 from motes.core.record import is_function, record, static
 from motes.core.settings import enforced, in_force
@@ -21,7 +20,8 @@ from motes.mcmc import continuing, judgement
 from motes.mcmc.chains import Chains, joined
 from motes.mcmc.interface import Info, Kernel, LogDensity, State, as_kernel, check_start
 from motes.models.canonical import shape_of
-from motes.models.programs import Beside, canonical_function
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside, canonical_function
 
 PIECES, MOST_PIECES = 20, 200
 """Chains are drawn in about so many pieces, at most as many as the second, for progress and so that an interruption loses little."""

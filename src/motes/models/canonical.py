@@ -2,28 +2,22 @@
 
 What is compiled depends on the user's functions, and JAX tells functions apart by identity: a model rebuilt from fresh lambdas would
 compile again. Here each user function is traced once on the shapes of its arguments and wrapped so that it compares by its traced program
-(see `programs`), or, where that cannot be compared, by what it reads.
+(see `tracing/identity.py`), or, where that cannot be compared, by what it reads.
 """
 
-import dataclasses
-import hashlib
 from functools import cache
-from types import FunctionType
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.extend.core import Primitive
 
-from motes.core.checks import refuse
-from motes.core.record import is_function, replace
+from motes.core.record import replace
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom, LinearGaussian
 from motes.laws.switching import SwitchingDynamics, SwitchingSensor
 from motes.models.jump_markov import JumpMarkovModel
 from motes.models.mixed_linear import MixedLinearModel
-from motes.models.programs import Program, Rule, canonical_function
 from motes.models.state_space import StateSpaceModel
+from motes.tracing.identity import canonical_function
 
 _FUNCTIONS = {AdditiveGaussian: ("f", "Q"), LinearGaussian: ("A", "Q"), AdditiveNoise: ("f",)}
 
@@ -109,44 +103,3 @@ def _key_shape() -> jax.ShapeDtypeStruct:
 def _with(record: Any, wanted: dict[str, Any]) -> Any:
     changed = {name: value for name, value in wanted.items() if value is not getattr(record, name)}
     return replace(record, **changed) if changed else record
-
-
-def fingerprint(argument: str, value: Any) -> str:
-    """Return a digest of what a canonical model, a filter or a tree of arrays is: equal in all processes with one version of JAX.
-
-    Args:
-        argument: name to use in the message.
-        value: records, tuples, dictionaries, arrays and functions that `canonical` has wrapped.
-
-    Raises:
-        MotesError: a function cannot be compared by its traced program.
-    """
-    return hashlib.sha256(_spelled(argument, value).encode()).hexdigest()
-
-
-def _spelled(argument: str, value: Any) -> str:
-    if isinstance(value, Program) and value.identity.program is not None:
-        return _spelled(argument, value.identity.program)
-    if isinstance(value, Rule):
-        return value[0]
-    if isinstance(value, (tuple, list)):
-        return f"{type(value).__name__}({','.join(_spelled(argument, item) for item in value)})"
-    if isinstance(value, dict):
-        return f"dict({','.join(f'{_spelled(argument, name)}:{_spelled(argument, item)}' for name, item in value.items())})"
-    if isinstance(value, (jax.Array, np.ndarray)) and not jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
-        return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
-        return f"{type(value).__qualname__}{_spelled(argument, dict(fields))}"
-    if not jax.tree_util.all_leaves([value]):
-        leaves, form = jax.tree.flatten(value)
-        return _spelled(argument, (str(form), leaves))
-    if isinstance(value, FunctionType) and value.__module__.startswith("motes.") and value.__closure__ is None:
-        return f"{value.__module__}.{value.__qualname__}"
-    text = value.name if isinstance(value, Primitive) else repr(value)
-    foreign = is_function(value) and not isinstance(value, type) and type(value).__module__.partition(".")[0] not in ("jax", "jaxlib")
-    if foreign or " at 0x" in text:
-        name = getattr(getattr(value, "function", value), "__qualname__", text)[:80]
-        refuse(argument, "functions that can be compared by their traced programs", name,
-               "It calls back into Python or has a custom_vjp; without a store it may.")
-    return f"{type(value).__name__} {text}"

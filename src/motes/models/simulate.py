@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
-from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.laws.conditional import Custom
 from motes.models.canonical import canonical, one_of
 from motes.models.jump_markov import JumpMarkovModel
-from motes.models.programs import Beside
 from motes.models.state_space import Previous, StateSpaceModel, at_step, checked_inputs, decorrelated
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 
 def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:

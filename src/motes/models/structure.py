@@ -17,10 +17,10 @@ from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.laws.conditional import AdditiveGaussian, Conditional, Custom
 from motes.laws.gaussian import Gaussian
-from motes.models.affinity import dependence
 from motes.models.canonical import canonical
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import Previous, StateSpaceModel, decorrelated, measurement_size
+from motes.tracing.affinity import dependence
 
 SHARED, TIME_VARYING, PER_PARTICLE = "shared", "time-varying", "per-particle"
 _EXHAUSTIVE = 18

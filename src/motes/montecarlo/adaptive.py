@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, linalg, logspace, random
-from motes.core.compiling import jitted
 from motes.core.record import record
 from motes.core.types import KeyLike
 from motes.laws.cloud import draw
@@ -20,6 +19,7 @@ from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
 from motes.laws.mixture import Mixture
 from motes.montecarlo.estimate import Estimate, averaged, densities_at, mixture_log_prob, values_at, warned
+from motes.tracing.compiling import jitted
 
 DEGREES = 5
 """Of freedom of the t laws: tails heavier than a Gaussian's, with a variance."""

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.compiling import jitted
 from motes.core.types import KeyLike
 from motes.mcmc.interface import Kernel, LogDensity, State, as_kernel, check_start
+from motes.tracing.compiling import jitted
 
 
 class Annealed(NamedTuple):

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.compiling import jitted
 from motes.core.types import KeyLike
 from motes.laws.law import as_law
 from motes.montecarlo.estimate import densities_at
+from motes.tracing.compiling import jitted
 
 ROUNDING = 1e-4
 """Nats by which a density may exceed its envelope."""

@@ -13,7 +13,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from motes.core import checks, linalg, logspace, random
-from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.core.types import KeyLike
 from motes.laws.cloud import Cloud, weighted_moments
@@ -23,6 +22,7 @@ from motes.mcmc.compose import Repeat
 from motes.mcmc.interface import Kernel, Tunable
 from motes.montecarlo.estimate import densities_at
 from motes.resampling.schemes import Scheme, Systematic
+from motes.tracing.compiling import jitted
 
 MOST_STEPS = 1_000
 HALVINGS = 40

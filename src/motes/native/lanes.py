@@ -4,11 +4,12 @@ It is a proof for the operations that `translate.py` knows; it refuses all other
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 from motes.native.rules import MOVES, Untranslatable
-from motes.native.translate import block_of, inner
+from motes.native.translate import block_of
+from motes.tracing.internals import Branches, called, control, has_own_mapping, opened
+from motes.tracing.program import walk
 
 COUNT = 99_991
 """A prime number of particles that no other axis has, nor a product of axes."""
@@ -20,17 +21,33 @@ def check(program: Any) -> None:
     Raises:
         Untranslatable: the text names the operation.
     """
-    for eqn in program.eqns:
-        name = eqn.primitive.name
-        before, after = _marked(eqn.invars), _marked(eqn.outvars)
+    walk(program, [_axes(variable) for variable in opened(program)[0].invars], _Apart())
+
+
+class _Apart:
+    """Rules by which the places of the particle axis stand for each array."""
+
+    def literal(self, atom: Any) -> list[int]:
+        return _axes(atom)
+
+    def constant(self, variable: Any, value: Any) -> list[int]:
+        return _axes(variable)
+
+    def step(self, eqn: Any, before: list[list[int]]) -> list[list[int]]:
+        after = [_axes(variable) for variable in eqn.outvars]
         if block_of(eqn):
             if after != [[len(eqn.outvars[0].aval.shape) - 1]]:
                 _refuse("random numbers")
-            continue
-        nested = inner(eqn)
-        if nested:
-            check(nested[0])
-            continue
+        elif called(eqn) is not None:
+            walk(called(eqn), before, self)
+            if has_own_mapping(eqn) and any(after) and not any(before):
+                _refuse("random numbers")  # what no particle enters is left to JAX as it is
+        else:
+            self._check(eqn, before, after)
+        return after
+
+    def _check(self, eqn: Any, before: list[list[int]], after: list[list[int]]) -> None:
+        name = eqn.primitive.name
         if any(len(axes) > 1 for axes in after):
             _refuse(name)
         given, made = any(before), [bool(axes) for axes in after]
@@ -38,22 +55,20 @@ def check(program: Any) -> None:
             _refuse(name)
         if not given and any(made) and name != "broadcast_in_dim":
             _refuse(name)
-        if name == "cond":
-            for branch in eqn.params["branches"]:
-                check(branch.jaxpr)
+        parts = control(eqn, before)
+        if isinstance(parts, Branches):
+            for branch in parts.programs:
+                walk(branch, parts.operands, self)
         if given and name in MOVES:
             _check_move(eqn, before, after[0])
 
 
-def _marked(atoms: Sequence[Any]) -> list[list[int]]:
-    """Places of the particle axis in each array."""
-    found = []
-    for atom in atoms:
-        shape = getattr(atom.aval, "shape", ())
-        if any(size > COUNT and size % COUNT == 0 for size in shape):
-            _refuse("reshape")
-        found.append([i for i, size in enumerate(shape) if size == COUNT])
-    return found
+def _axes(atom: Any) -> list[int]:
+    """Places of the particle axis in an array."""
+    shape = getattr(atom.aval, "shape", ())
+    if any(size > COUNT and size % COUNT == 0 for size in shape):
+        _refuse("reshape")
+    return [i for i, size in enumerate(shape) if size == COUNT]
 
 
 def _check_move(eqn: Any, before: list[list[int]], after: list[int]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from motes.native import lanes
 from motes.native.compile import kernel
 from motes.native.translate import Translator, Untranslatable, is_lane, traced
+from motes.tracing.program import walk
 
 Function = Callable[..., Any]
 
@@ -60,7 +61,7 @@ def _translated(function: Function, leaves: Sequence[jax.Array]) -> tuple[Transl
     for leaf in leaves:
         if leaf.dtype != jnp.float32:
             raise Untranslatable(f"particles of type {leaf.dtype}")
-    lanes.check(traced(function, leaves, lanes.COUNT).jaxpr)
+    lanes.check(traced(function, leaves, lanes.COUNT))
     single = traced(function, leaves, 1)
     translator = Translator()
     first = 0
@@ -68,7 +69,7 @@ def _translated(function: Function, leaves: Sequence[jax.Array]) -> tuple[Transl
     for leaf in leaves:
         inputs.append(translator.inputs(first, (*leaf.shape[:-1], 1)))
         first += inputs[-1].size
-    return translator, translator.run(single.jaxpr, single.consts, inputs)
+    return translator, walk(single, inputs, translator)
 
 
 def _compiled(kind: str, translator: Translator, leaves: Sequence[jax.Array], outputs: Sequence[Any], weighing: Sequence[Any]) -> Stage:

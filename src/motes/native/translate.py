@@ -15,32 +15,23 @@ from jax.core import Tracer
 
 from motes.core import random
 from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal
+from motes.tracing.internals import Branches, called, control, has_own_mapping, jitted_name, numbers
+from motes.tracing.program import walk
 
 MOST_STATEMENTS = 6_000
 """Longer programs take compilers minutes."""
-
-CALLS = {"jit": "jaxpr", "closed_call": "call_jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
-"""Operations that are a program of their own, and where they keep it."""
 
 BLOCKS = {random.NORMAL: "normals", random.UNIFORM: "uniforms"}
 """Names of the jitted functions that draw random numbers for all particles."""
 
 
-def inner(eqn: Any) -> tuple[Any, Sequence[Any]] | None:
-    """Return the program inside a call and its constants, or None for other operations."""
-    if eqn.primitive.name not in CALLS:
-        return None
-    program = eqn.params[CALLS[eqn.primitive.name]]
-    return (program.jaxpr, program.consts) if hasattr(program, "consts") else (program, ())
-
-
 def block_of(eqn: Any) -> str | None:
     """Return which random numbers an operation draws, or None."""
-    return BLOCKS.get(eqn.params.get("name", "")) if eqn.primitive.name == "jit" else None
+    return BLOCKS.get(jitted_name(eqn))
 
 
 class Translator:
-    """Walks a program and collects the C++ statements of what depends on the particle.
+    """Rules that collect the C++ statements of what depends on the particle (see `tracing/program.py`).
 
     Values are JAX arrays (the same for all particles) or arrays of `Scalar`.
 
@@ -80,34 +71,36 @@ class Translator:
             parts.append(whole)
         return jnp.concatenate(parts)
 
-    def run(self, program: Any, constants: Sequence[Any], inputs: Sequence[Any]) -> list[Any]:
-        """Translate a program for given inputs and return its outputs."""
-        known: dict[Any, Any] = dict(zip([*program.constvars, *program.invars], [*constants, *inputs], strict=True))
+    def literal(self, atom: Any) -> Any:
+        """Return a number in an equation."""
+        return np.asarray(atom.val, atom.aval.dtype)
 
-        def value(atom: Any) -> Any:
-            return np.asarray(atom.val, atom.aval.dtype) if hasattr(atom, "val") else known[atom]
+    def constant(self, variable: Any, value: Any) -> Any:
+        """Return an array that the program holds."""
+        return value
 
-        for eqn in program.eqns:
-            results = self._equation(eqn, [value(atom) for atom in eqn.invars])
-            known.update(zip(eqn.outvars, results, strict=True))
-            if len(self.statements) > MOST_STATEMENTS:
-                raise Untranslatable(f"more than {MOST_STATEMENTS} scalar operations")
-        return [value(atom) for atom in program.outvars]
+    def step(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
+        """Translate an equation."""
+        results = self._equation(eqn, operands)
+        if len(self.statements) > MOST_STATEMENTS:
+            raise Untranslatable(f"more than {MOST_STATEMENTS} scalar operations")
+        return results
 
     def _equation(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
         block = block_of(eqn)
         if block:
             return [self._draw(block, operands[0], eqn.outvars[0].aval.shape)]
-        nested = inner(eqn)
-        if nested:
-            return self.run(*nested, operands)
-        if not any(is_lane(value) for value in operands):
+        shared = not any(is_lane(value) for value in operands)
+        if called(eqn) is not None and not (shared and has_own_mapping(eqn)):
+            return walk(called(eqn), operands, self)
+        if shared:
             return _by_jax(eqn, operands)
         name = eqn.primitive.name
         if name == "optimization_barrier":
             return operands
-        if name == "cond":
-            return self._branches(eqn, operands)
+        parts = control(eqn, operands)
+        if isinstance(parts, Branches):
+            return self._branches(parts)
         if name in MOVES:
             return self._moved(eqn, operands)
         if name in REDUCTIONS:
@@ -198,10 +191,10 @@ class Translator:
             text = f"motes::fma({one.text}, {other.text}, {text})"
         return self._named("float", text)
 
-    def _branches(self, eqn: Any, operands: list[Any]) -> list[np.ndarray]:
+    def _branches(self, parts: Branches) -> list[np.ndarray]:
         """Work out every branch and select."""
-        branches = [self.run(branch.jaxpr, branch.consts, operands[1:]) for branch in eqn.params["branches"]]
-        which = self.scalars(operands[0])
+        branches = [walk(branch, parts.operands, self) for branch in parts.programs]
+        which = self.scalars(parts.index)
         return [self._elementwise("select_n", [which, *map(self.scalars, cases)], {}) for cases in zip(*branches, strict=True)]
 
     def _draw(self, block: str, key: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -230,11 +223,9 @@ def _array(elements: list[Scalar], shape: Sequence[int]) -> np.ndarray:
 def _by_jax(eqn: Any, operands: list[Any]) -> Sequence[Any]:
     """Let JAX work out an operation: at once where all is known, else as part of the program that is being traced."""
     if any(isinstance(value, Tracer) for value in operands):
-        results = eqn.primitive.bind(*operands, **eqn.params)
-        return results if eqn.primitive.multiple_results else [results]
+        return numbers(eqn, operands)
     with jax.ensure_compile_time_eval():
-        results = eqn.primitive.bind(*operands, **eqn.params)
-        return [_plain(value) for value in (results if eqn.primitive.multiple_results else [results])]
+        return [_plain(value) for value in numbers(eqn, operands)]
 
 
 def _plain(value: Any) -> Any:

@@ -11,16 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.compiling import jitted
 from motes.core.progress import tracked
 from motes.core.types import KeyLike
 from motes.filters import keep
 from motes.filters.particle import ParticleFilter
 from motes.filters.run import run
-from motes.models.programs import Beside
 from motes.parameters.augmented import augmented
 from motes.parameters.posterior import Parametric
 from motes.resampling.schemes import Systematic
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 HALVED_AFTER = 0.25
 """Share of the rounds after which steps are half as long."""

@@ -15,17 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, linalg, random
-from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.core.types import KeyLike
 from motes.filters.interface import weigh
 from motes.laws.cloud import Cloud, weighted_moments
-from motes.models.programs import Beside
 from motes.models.state_space import at_step
 from motes.parameters.augmented import augmented
 from motes.parameters.posterior import Parametric
 from motes.resampling.policy import ESS, resample
 from motes.resampling.schemes import Systematic
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 
 class Tracked(NamedTuple):

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, logspace, random
-from motes.core.compiling import jitted
 from motes.core.progress import tracked
 from motes.core.types import KeyLike
 from motes.filters.history import Carry
@@ -21,11 +20,12 @@ from motes.filters.run import Engine
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.mcmc.interface import State, settle
 from motes.mcmc.metropolis import RandomWalkMetropolis
-from motes.models.programs import Beside
 from motes.models.state_space import at_step
 from motes.montecarlo.tempering import shaped
 from motes.parameters.posterior import Posterior
 from motes.resampling.schemes import Systematic
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 
 class Sequential(NamedTuple):

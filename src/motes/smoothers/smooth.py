@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.filters.history import History
 from motes.filters.run import checked_data
 from motes.models.canonical import canonical, one_of
-from motes.models.programs import Beside
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs, driven
 from motes.smoothers.interface import Smoothed, Smoother, Steps
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 
 def smooth(

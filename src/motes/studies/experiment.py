@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.compiling import jitted
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.filters.interface import Filter
@@ -18,6 +17,7 @@ from motes.models.canonical import one_of
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.simulate import measurements, simulate
 from motes.models.state_space import StateSpaceModel, checked_inputs, circular
+from motes.tracing.compiling import jitted
 
 LONGEST_NAME = 60
 Blocks = tuple[tuple[str, tuple[str, ...]], ...]

@@ -6,9 +6,10 @@ from typing import Any
 from motes.core import engine
 from motes.filters.run import canonical_parts
 from motes.io.archive import provenance
-from motes.models.canonical import canonical, fingerprint
+from motes.models.canonical import canonical
 from motes.studies.experiment import Experiment
 from motes.studies.store import Entry
+from motes.tracing.fingerprint import fingerprint
 
 COMPARED = ("motes_version", "jax_version", "device", "float")
 """Provenance that may change the last bits of a run."""

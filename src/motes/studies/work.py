@@ -20,15 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, linalg
-from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.core.settings import Settings, enforced
 from motes.diagnostics.consistency import normalized_errors
 from motes.filters.interface import Info
 from motes.filters.run import run
 from motes.laws.circular import wrap
-from motes.models.programs import Beside
 from motes.studies.experiment import Experiment, places
+from motes.tracing.compiling import jitted
+from motes.tracing.identity import Beside
 
 TRUTH = ""
 """Name of the part of a study that holds the true states; those of the filters are the other parts."""

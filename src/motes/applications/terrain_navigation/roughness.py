@@ -16,12 +16,12 @@ import numpy as np
 from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
 from motes.bounds.kalman_at_truth import kalman_at_truth
 from motes.core import linalg
-from motes.core.compiling import jitted
 from motes.core.record import replace
 from motes.laws.gaussian import Gaussian
 from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 from motes.models.terrain import TerrainMap
+from motes.tracing.compiling import jitted
 
 MOST = 400
 """Fixes whose surroundings are looked at."""

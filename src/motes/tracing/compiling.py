@@ -11,6 +11,7 @@ from typing import Any
 import jax
 
 from motes.core.lapack import MENDED
+from motes.tracing.internals import at_top
 
 OPTIONS: dict[str, Any] = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
 
@@ -33,17 +34,10 @@ class _Jitted:
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
-        return (self._alone if _at_top() and _are_known() else self._within)(*arguments, **named)
+        return (self._alone if at_top() and _are_known() else self._within)(*arguments, **named)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._alone if _are_known() else self._within, name)
-
-
-def _at_top() -> bool:
-    """Tell whether nothing is being traced; only asked of versions of JAX that are out."""
-    from jax._src import core
-
-    return core.trace_state_clean()
 
 
 @functools.cache

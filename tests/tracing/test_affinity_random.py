@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
 
-from motes.models.affinity import dependence
+from motes.tracing.affinity import dependence
 
 TABLE = np.random.default_rng(1).normal(size=(5, 3))
 HOLES = np.array([[1.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, -1.0, 1.0]])

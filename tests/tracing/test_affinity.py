@@ -7,7 +7,7 @@ import pytest
 from jax import lax
 
 from motes.core.checks import MotesError
-from motes.models.affinity import Dependence, dependence, variables
+from motes.tracing.affinity import Dependence, dependence, variables
 
 X = np.zeros(3, np.float32)
 TERRAIN = np.random.default_rng(0).normal(size=(1201, 1201)).astype(np.float32)

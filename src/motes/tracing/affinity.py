@@ -2,8 +2,8 @@
 
 Second derivatives do not answer this: they vanish almost everywhere for a floor, a look-up in a map, a comparison, an
 absolute value. Here each element of each array of the program carries the variables that it uses and the pairs of
-variables in which it is not jointly affine; `affinity_rules` says what each primitive does to them, and this file walks
-through the program, its loops and branches. What has a derivative of its own (`custom_jvp`) counts as nonlinear, since
+variables in which it is not jointly affine; `affinity_rules` says what each primitive does to them, and this file what
+calls, loops and branches do. What has a derivative of its own (`custom_jvp`) counts as nonlinear, since
 the matrices of a model are later taken by differentiation.
 """
 
@@ -17,8 +17,9 @@ import numpy as np
 from jax.core import ShapedArray
 
 from motes.core import checks
-from motes.models.affinity_rules import apply
-from motes.models.affinity_values import (
+from motes.tracing import internals
+from motes.tracing.affinity_rules import apply
+from motes.tracing.affinity_values import (
     KNOWN_LIMIT,
     Value,
     any_element,
@@ -29,13 +30,11 @@ from motes.models.affinity_values import (
     summary,
     union,
 )
+from motes.tracing.program import walk
 
 KINDS = ("elements", "whole", "fixed")
 UNROLL_LIMIT = 64  # steps; longer loops are summed up by a fixed point
 LARGE = 10_000_000  # marks of pairs; arrays that would need more are treated as a whole
-
-_CALLS = ("jit", "closed_call", "call", "remat", "remat2", "checkpoint")
-_CUSTOM_DERIVATIVES = ("custom_jvp_call", "custom_vjp_call")
 
 
 class Dependence(NamedTuple):
@@ -89,7 +88,7 @@ def dependence(function: Callable[..., Any], args: Sequence[Any], kinds: Sequenc
     program, shapes = jax.make_jaxpr(function, return_shape=True)(*args)
     places = sum(map(_places, args, ranges, kinds), [])
     inputs = [_source(aval, place, count) for aval, place in zip(program.in_avals, places, strict=True)]
-    outputs = [Dependence(value.uses, value.pairs) for value in _enter(program, inputs, count)]
+    outputs = [Dependence(value.uses, value.pairs) for value in walk(program, inputs, _Affinity(count))]
     return jax.tree.unflatten(jax.tree.structure(shapes), outputs)
 
 
@@ -122,53 +121,43 @@ def _is_large(shape: tuple[int, ...], count: int) -> bool:
     return prod(shape) * count * count > LARGE
 
 
-# ---- the walk ----
+# ---- the rules ----
 
 
-def _enter(program: Any, inputs: Sequence[Value], count: int) -> list[Value]:
-    """Walk through a program, which may carry constants of its own, and return the values of its outputs."""
-    jaxpr = getattr(program, "jaxpr", program)
-    arrays = zip(jaxpr.constvars, getattr(program, "consts", ()), strict=True)
-    constants = [_captured(variable.aval, array, count) for variable, array in arrays]
-    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *inputs], strict=True))
+class _Affinity:
+    """Rules by which a `Value` stands for each array of the program; `count` is the number of variables."""
 
-    def read(atom: Any) -> Value:
-        if hasattr(atom, "val"):
-            return constant(atom.aval.shape, count, np.asarray(atom.val, atom.aval.dtype))
-        return values[atom]
+    def __init__(self, count: int):
+        self.count = count
 
-    for equation in jaxpr.eqns:
-        outputs = _step(equation, [read(atom) for atom in equation.invars], count)
-        values.update(zip(equation.outvars, outputs, strict=True))
-    return [read(atom) for atom in jaxpr.outvars]
+    def literal(self, atom: Any) -> Value:
+        return constant(atom.aval.shape, self.count, np.asarray(atom.val, atom.aval.dtype))
 
+    def constant(self, variable: Any, value: Any) -> Value:
+        # not known now if an outer trace holds it or if it can be written to
+        known = checks.is_concrete(value) and isinstance(variable.aval, ShapedArray)
+        return constant(variable.aval.shape, self.count, value if known else None)
 
-def _captured(aval: Any, array: Any, count: int) -> Value:
-    """Return a constant of the program; it is not known now if an outer trace holds it or if it can be written to."""
-    known = checks.is_concrete(array) and isinstance(aval, ShapedArray)
-    return constant(aval.shape, count, array if known else None)
-
-
-def _step(equation: Any, operands: list[Value], count: int) -> list[Value]:
-    """Return the outputs of one equation."""
-    name, params = equation.primitive.name, equation.params
-    if name in _CALLS:
-        return _enter(params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"], operands, count)
-    if _is_opaque(equation):
-        return [entangled(getattr(v.aval, "shape", ()), np.ones(count, bool)) for v in equation.outvars]
-    shapes = [variable.aval.shape for variable in equation.outvars]
-    known = _computed(equation, operands)
-    if known is not None:
-        return [constant(shape, count, number) for shape, number in zip(shapes, known, strict=True)]
-    depends = any(any_element(value.uses, 1).any() for value in operands)
-    if name in _CUSTOM_DERIVATIVES and not depends and "call_jaxpr" in params:
-        return _enter(params["call_jaxpr"], operands, count)
-    if name in _CONTROL:
-        return _CONTROL[name](equation, operands, count)
-    if not operands:
-        return [constant(shape, count) for shape in shapes]
-    large = any(_is_large(shape, count) for shape in (*shapes, *(value.live.shape for value in operands)))
-    return apply(equation, operands, large)
+    def step(self, equation: Any, operands: list[Value]) -> list[Value]:
+        count, call = self.count, internals.called(equation)
+        own = internals.has_own_derivative(equation)
+        if call is not None and not own:
+            return walk(call, operands, self)
+        if _is_opaque(equation):
+            return [entangled(getattr(v.aval, "shape", ()), np.ones(count, bool)) for v in equation.outvars]
+        shapes = [variable.aval.shape for variable in equation.outvars]
+        known = _computed(equation, operands)
+        if known is not None:
+            return [constant(shape, count, number) for shape, number in zip(shapes, known, strict=True)]
+        if own and not any(any_element(value.uses, 1).any() for value in operands):
+            return walk(call, operands, self)
+        control = internals.control(equation, operands)
+        if control is not None:
+            return _CONTROL[type(control)](control, self)
+        if not operands:
+            return [constant(shape, count) for shape in shapes]
+        large = any(_is_large(shape, count) for shape in (*shapes, *(value.live.shape for value in operands)))
+        return apply(equation, operands, large)
 
 
 def _is_opaque(equation: Any) -> bool:
@@ -185,62 +174,58 @@ def _computed(equation: Any, operands: Sequence[Value]) -> list[Any] | None:
         return None
     try:
         with jax.ensure_compile_time_eval():
-            outputs = equation.primitive.bind(*(value.known for value in operands), **equation.params)
+            return internals.numbers(equation, [value.known for value in operands])
     except Exception:  # whatever stops it (an axis name, a debugging switch), the numbers are merely not known
         return None
-    return list(outputs) if equation.primitive.multiple_results else [outputs]
 
 
 # ---- loops, branches and solvers ----
 
 
-def _cond(equation: Any, operands: list[Value], count: int) -> list[Value]:
-    index, *rest = operands
-    branches = equation.params["branches"]
-    if index.known is not None:
-        return _enter(branches[int(index.known)], rest, count)
-    results = [_enter(branch, rest, count) for branch in branches]
-    return [_join(outcomes, index.uses) for outcomes in zip(*results, strict=True)]
+def _branches(cond: internals.Branches, rules: _Affinity) -> list[Value]:
+    if cond.index.known is not None:
+        return walk(cond.programs[int(cond.index.known)], cond.operands, rules)
+    results = [walk(branch, cond.operands, rules) for branch in cond.programs]
+    return [_join(outcomes, cond.index.uses) for outcomes in zip(*results, strict=True)]
 
 
-def _scan(equation: Any, operands: list[Value], count: int) -> list[Value]:
-    params = equation.params
-    body, length, fixed = params["jaxpr"], params["length"], params["num_consts"]
-    middle = fixed + params["num_carry"]
-    consts, carry, rows = operands[:fixed], operands[fixed:middle], operands[middle:]
-    if not 0 < length <= UNROLL_LIMIT or any(_is_large(variable.aval.shape, count) for variable in equation.outvars):
-        any_rows = [_any_row(value) for value in rows]
-        carry, outputs = _fixed_point(lambda now: _enter(body, [*consts, *now, *any_rows], count), carry, count)
+def _scan(scan: internals.Scan, rules: _Affinity) -> list[Value]:
+    body, length, carry = scan.body, scan.length, list(scan.carry)
+    made = [(length, *aval.shape) for aval in body.out_avals[len(carry) :]]
+    if not 0 < length <= UNROLL_LIMIT or any(_is_large(shape, rules.count) for shape in (*(v.live.shape for v in carry), *made)):
+        any_rows = [_any_row(value) for value in scan.rows]
+        carry, outputs = _fixed_point(lambda now: walk(body, [*scan.consts, *now, *any_rows], rules), carry, rules.count)
         return carry + [_repeat(value, length) for value in outputs]
-    outputs = [[] for _ in equation.outvars[len(carry) :]]
-    for step in range(length)[:: -1 if params["reverse"] else 1]:
-        results = _enter(body, [*consts, *carry, *(_row(value, step) for value in rows)], count)
+    outputs = [[] for _ in made]
+    order = slice(None, None, -1 if scan.reverse else 1)
+    for step in range(length)[order]:
+        results = walk(body, [*scan.consts, *carry, *(_row(value, step) for value in scan.rows)], rules)
         carry = results[: len(carry)]
         for rows_so_far, row in zip(outputs, results[len(carry) :], strict=True):
             rows_so_far.append(row)
-    return carry + [_stack(found[:: -1 if params["reverse"] else 1]) for found in outputs]
+    return carry + [_stack(found[order]) for found in outputs]
 
 
-def _while(equation: Any, operands: list[Value], count: int) -> list[Value]:
-    params = equation.params
-    first, middle = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
-    tests, consts, carry = operands[:first], operands[first:middle], operands[middle:]
-    carry, _ = _fixed_point(lambda now: _enter(params["body_jaxpr"], [*consts, *now], count), carry, count)
-    (test,) = _enter(params["cond_jaxpr"], [*tests, *carry], count)
+def _while(loop: internals.While, rules: _Affinity) -> list[Value]:
+    carry, _ = _fixed_point(lambda now: walk(loop.body, [*loop.consts, *now], rules), list(loop.carry), rules.count)
+    (test,) = walk(loop.test, [*loop.tested, *carry], rules)
     return [_join([value], test.uses) for value in carry]
 
 
-def _linear_solve(equation: Any, operands: list[Value], count: int) -> list[Value]:
+def _solve(solve: internals.Solve, rules: _Affinity) -> list[Value]:
     # the solver itself is walked through, since that is what runs; that it has no constant term is its contract in JAX
-    lengths, solve = equation.params["const_lengths"], equation.params["jaxprs"].solve
-    start, matrices = lengths.matvec + lengths.vecmat, sum(lengths)
-    results = _enter(solve, [*operands[start : start + lengths.solve], *operands[matrices:]], count)
-    used = [any_element(value.uses, 1) for value in operands[:matrices]]
-    by = np.logical_or.reduce([np.zeros(count, bool), *used])
+    results = walk(solve.program, solve.operands, rules)
+    used = [any_element(value.uses, 1) for value in solve.matrices]
+    by = np.logical_or.reduce([np.zeros(rules.count, bool), *used])
     return [_join([value], by) for value in results]
 
 
-_CONTROL = {"cond": _cond, "scan": _scan, "while": _while, "custom_linear_solve": _linear_solve}
+_CONTROL: dict[type, Callable[[Any, _Affinity], list[Value]]] = {
+    internals.Branches: _branches,
+    internals.Scan: _scan,
+    internals.While: _while,
+    internals.Solve: _solve,
+}
 
 
 def _join(values: Sequence[Value], by: np.ndarray) -> Value:

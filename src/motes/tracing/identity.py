@@ -1,7 +1,7 @@
 """A user function as its traced program: two are equal when their programs are.
 
 A program is all of a function's operations with their parameters, closed-over numbers by type, shape and bytes, inputs and outputs. Each
-function is traced once on the shapes of its arguments, and again when what it reads has changed since (`core.reading`), or where that is
+function is traced once on the shapes of its arguments, and again when what it reads has changed since (`reading.py`), or where that is
 not known. A function that cannot be compared in this way (it closes over tracers, calls back into Python, has effects) is compared by its
 identity and by what it reads.
 """
@@ -18,12 +18,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from motes.core import told
 from motes.core.checks import MotesError
-from motes.core.reading import Reading, changes
 from motes.core.record import is_function
+from motes.tracing.internals import PROGRAMS, called, jitted_name, keeps_traces, opened, parameters
+from motes.tracing.program import walk
+from motes.tracing.reading import Reading, changes
 
 _settings = attrgetter("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion",
                        "jax_default_prng_impl", "jax_threefry_partitionable", "jax_softmax_custom_jvp", "jax_disable_jit")
@@ -47,7 +48,7 @@ class Program:
 
     @property
     def read_as(self) -> Any:
-        """What `core.reading` looks at."""
+        """What `reading.py` looks at."""
         return self.function
 
     def __call__(self, *args: Any) -> Any:
@@ -137,27 +138,45 @@ def _traced(function: Any, args: tuple[Any, ...], about: tuple[Any, str], readin
             raise type(reason)(str(reason)) from None
 
     made, shapes = program()
-    changed = reading.helpers and changes[0] > _forgotten[0] and _keeps_traces(made.jaxpr, reading.helpers)
+    changed = reading.helpers and changes[0] > _forgotten[0] and _Kept.traces(made, reading.helpers)
     if changed and not isinstance(jnp.zeros(()), Tracer):
         # JAX keeps traces of functions that are jitted or are bodies of loops by identity, whatever they read
         _forgotten[0] = changes[0]
         jax.clear_caches()
         made, shapes = program()
     try:
-        key = (signature, jax.tree.structure(shapes), _program(made.jaxpr, made.consts))
+        key = (signature, jax.tree.structure(shapes), _program(made))
         return _programs.setdefault(key, _Identity(key))
     except Exception:  # the program holds what cannot be compared
         return _Identity(None)
 
 
-def _keeps_traces(jaxpr: Any, names: set[str]) -> bool:
-    """Tell whether there is something in a program of which JAX keeps a trace, other than the library's own functions."""
-    return any(eqn.primitive.name in _LOOPS or eqn.params.get("name") in names
-               or any(_keeps_traces(getattr(inner, "jaxpr", inner), names) for inner in eqn.params.values()
-                      if isinstance(inner, (Jaxpr, ClosedJaxpr))) for eqn in jaxpr.eqns)  # fmt: skip
+class _Kept:
+    """Rules that look for functions of which JAX keeps traces, other than the library's own."""
+
+    def __init__(self, names: set[str]):
+        self.names, self.found = names, False
+
+    @classmethod
+    def traces(cls, program: Any, names: set[str]) -> bool:
+        """Tell whether there are some in a program, where jitted ones have one of the names."""
+        kept = cls(names)
+        walk(program, [None] * len(opened(program)[0].invars), kept)
+        return kept.found
+
+    def literal(self, atom: Any) -> None:
+        pass
+
+    def constant(self, variable: Any, value: Any) -> None:
+        pass
+
+    def step(self, equation: Any, operands: list[None]) -> list[None]:
+        self.found |= keeps_traces(equation) or jitted_name(equation) in self.names
+        if not self.found and called(equation) is not None:
+            walk(called(equation), operands, self)
+        return [None] * len(equation.outvars)
 
 
-_LOOPS = ("scan", "while", "cond", "custom_jvp_call", "custom_vjp_call", "custom_vjp_call_jaxpr", "checkpoint", "remat", "remat2")
 _forgotten = [0]
 """How many changes of what helpers read there were when JAX last forgot its traces."""
 
@@ -218,56 +237,52 @@ def _told(value: Any, found: list[str]) -> bool:
     return text is not None
 
 
-def _program(jaxpr: Any, consts: Any) -> tuple[Any, ...]:
+def _program(program: Any) -> tuple[Any, ...]:
     """Return all that a program is, as nested tuples: variables numbered in order of appearance, everything else by value.
 
     Raises:
         _IncomparableError: the program holds something that has no value to compare, or has effects.
     """
+    jaxpr, consts = opened(program)
     if jaxpr.effects:
         raise _IncomparableError
-    numbers: dict[Any, int] = {}
-
-    def bound(variables: Any) -> tuple[Any, ...]:
-        for variable in variables:
-            numbers[variable] = len(numbers)
-        return tuple(variable.aval for variable in variables)
-
-    def used(atoms: Any) -> tuple[Any, ...]:
-        return tuple((atom.aval, _value(atom.val)) if isinstance(atom, Literal) else numbers[atom] for atom in atoms)
-
-    inputs = (bound(jaxpr.constvars), bound(jaxpr.invars))
-    lines = tuple((eqn.primitive, eqn.ctx, used(eqn.invars), _parameters(eqn), bound(eqn.outvars)) for eqn in jaxpr.eqns)
-    return inputs, lines, used(jaxpr.outvars), tuple(map(_value, consts))
+    spelled = _Spelled(len(jaxpr.constvars), len(jaxpr.invars))
+    results = walk(program, spelled.inputs, spelled)
+    return (_avals(jaxpr.constvars), _avals(jaxpr.invars)), tuple(spelled.lines), tuple(results), tuple(map(_value, consts))
 
 
-def _parameters(eqn: Any) -> tuple[Any, ...]:
-    params = dict(eqn.params)
-    if eqn.primitive.name.startswith("custom_vjp") or eqn.primitive.name.endswith("callback"):
-        raise _IncomparableError  # these hold functions of JAX's own making, new at each tracing
-    if eqn.primitive.name == "custom_jvp_call":
-        params["jvp_jaxpr_fun"] = _derivative_rule(params["jvp_jaxpr_fun"])
-    return tuple((name, _value(params[name])) for name in sorted(params))
+class _Spelled:
+    """Rules that write down each equation; a number stands for each variable."""
+
+    def __init__(self, constants: int, inputs: int):
+        self.lines: list[Any] = []
+        self.constants, self.inputs, self.results = iter(range(constants)), range(constants, constants + inputs), count(constants + inputs)
+
+    def literal(self, atom: Any) -> Any:
+        return atom.aval, _value(atom.val)
+
+    def constant(self, variable: Any, value: Any) -> Any:
+        return next(self.constants)
+
+    def step(self, equation: Any, operands: list[Any]) -> list[Any]:
+        held = parameters(equation)
+        if held is None:
+            raise _IncomparableError
+        spelled = tuple((name, _value(held[name])) for name in sorted(held))
+        self.lines.append((equation.primitive, equation.ctx, tuple(operands), spelled, _avals(equation.outvars)))
+        return [next(self.results) for _ in equation.outvars]
 
 
-def _derivative_rule(traced: Any) -> Any:
-    """Return the user's own derivative rule, which JAX keeps in closures; any failure to find it leaves the function alone."""
-
-    def held(function: Any, name: str) -> Any:
-        return function.__closure__[function.__code__.co_freevars.index(name)].cell_contents
-
-    rule = held(held(traced.f, "fn"), "jvp")
-    if len(rule.transforms) != 1:
-        raise _IncomparableError  # more than flattening of arguments: under vmap, or with arguments that are no arrays
-    return rule.f
+def _avals(variables: Any) -> tuple[Any, ...]:
+    return tuple(variable.aval for variable in variables)
 
 
 def _value(value: Any) -> Any:
     """Return what stands for a parameter or constant: equal only when the value is the same."""
     if isinstance(value, (jax.Array, np.ndarray, np.generic)):
         return _array(value)
-    if isinstance(value, (Jaxpr, ClosedJaxpr)):
-        return _program(getattr(value, "jaxpr", value), getattr(value, "consts", ()))
+    if isinstance(value, PROGRAMS):
+        return _program(value)
     if isinstance(value, (float, complex)):
         return type(value), repr(value)  # 0.0 equals -0.0, and NaN not itself
     if isinstance(value, (tuple, list)):

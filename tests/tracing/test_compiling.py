@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import motes as mo
-from motes.core import compiling
-from motes.core.compiling import OPTIONS, jitted
 from motes.core.lapack import MENDED
+from motes.tracing import compiling
+from motes.tracing.compiling import OPTIONS, jitted
 
 law = mo.Gaussian(jnp.zeros(1), jnp.eye(1))
 MODEL = mo.StateSpaceModel(law, mo.LinearGaussian(jnp.eye(1), jnp.eye(1)), mo.LinearGaussian(jnp.eye(1), jnp.eye(1)), ("x",))

@@ -23,6 +23,8 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from motes.tracing.internals import JITTED
+
 MOST = 5_000
 """So many things are looked at for one function."""
 SHORT = 100
@@ -116,7 +118,7 @@ class Reading:
             return [self._of(value.__func__)]
         if isinstance(value, property):
             return self._all(value.fget)
-        if type(value).__name__ == "PjitFunction":
+        if isinstance(value, JITTED):
             return self._all(value.__wrapped__)
         if isinstance(value, types.CellType):
             return self._all(value.cell_contents) if _filled(value) else []

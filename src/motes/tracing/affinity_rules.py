@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from motes.models.affinity_values import (
+from motes.tracing.affinity_values import (
     Value,
     any_element,
     decided,
