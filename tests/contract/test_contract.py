@@ -19,8 +19,8 @@ CLASSES = {name for name, filter in FILTERS.items() if name == type(filter).__na
 """One filter of each class."""
 KINDS = first_of_kinds(FILTERS)
 """One filter of each kind that the loop sees: of law, and whether it looks ahead."""
-BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "cut": KINDS, "vmapped": KINDS, "likelihood": KINDS, "eager": KINDS, "derivative": KINDS,
-          "inflation": KINDS, "smallest": KINDS}  # fmt: skip
+BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "cut": KINDS, "vmapped": KINDS, "likelihood": KINDS, "eager": KINDS,
+          "derivative": KINDS, "inflation": KINDS, "smallest": KINDS}  # fmt: skip
 """Filters that are asked a rule by day, all others being asked by night; of rules not named here, those of `CLASSES`."""
 ONE_STATE = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,), "size": 1}
 """Knobs in place of those for two states."""

@@ -43,7 +43,10 @@ def form(session: Session) -> str | None:
 
 
 def _as(precision: str, tree: Any) -> Any:
-    return jax.tree.map(lambda leaf: np.asarray(leaf).astype(precision) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else leaf, tree)
+    def turned(leaf: Any) -> Any:
+        return np.asarray(leaf).astype(precision) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else leaf
+
+    return jax.tree.map(turned, tree)
 
 
 def answers(session: Session) -> str | None:
@@ -60,5 +63,6 @@ def answers(session: Session) -> str | None:
     if not (off < 5).all():
         return f"the mean of 40 000 draws is {np.max(off):.3g} standard errors off."
     if not np.allclose(np.cov(draws), cov, atol=0.05 * spread.max() ** 2):
-        return f"the covariance of 40 000 draws differs by {np.abs(np.cov(draws) - cov).max():.3g} (the largest variance is {spread.max() ** 2:.3g})."
+        off = np.abs(np.cov(draws) - cov).max()
+        return f"the covariance of 40 000 draws differs by {off:.3g} (the largest variance is {spread.max() ** 2:.3g})."
     return None

@@ -24,7 +24,7 @@ def stream(session: Session) -> str | None:
     """A stream draws the numbers of a run, to the bit."""
     stream, whole = session.stream(), session.whole
     means = session.fed(stream, range(STEPS))
-    steps = np.flatnonzero([differing(one, other) for one, other in zip(means, whole.mean, strict=True)])
+    steps = np.flatnonzero([differing(one, other) != 0 for one, other in zip(means, whole.mean, strict=True)])
     if steps.size:
         return f"the means differ from step {steps[0]} on by up to {np.nanmax(np.abs(np.stack(means) - whole.mean)):.3g}."
     wrong = _unlike("the last laws", stream.state, whole.state)

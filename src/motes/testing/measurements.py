@@ -27,9 +27,10 @@ def missing(session: Session) -> str | None:
             ys = session.ys.copy()
             ys[:, [i for i in range(3) if i not in seen]] = np.nan
             ys[2:] = np.nan  # further on draws can tip over where sums are rounded otherwise
-            found, wanted = session.run(ys), session.run(ys[:, list(seen)], model=linear(seen))
-            for name in ("mean", "cov", "log_evidence"):
-                one, other = (np.asarray(getattr(history.info if name == "log_evidence" else history, name))[:2] for history in (found, wanted))
+            told = [{"mean": one.mean, "covariance": one.cov, "log evidence": one.info.log_evidence}
+                    for one in (session.run(ys), session.run(ys[:, list(seen)], model=linear(seen)))]  # fmt: skip
+            for name in told[0]:
+                one, other = (np.asarray(each[name])[:2] for each in told)
                 if not np.allclose(one, other, rtol=1e-3, atol=1e-4):
                     return f"with components {seen} of 3 measured the {name} is off by {np.max(np.abs(one - other)):.3g}."
     return None

@@ -34,8 +34,9 @@ def linear(components: Sequence[int] = (0, 1), scale: float = 1.0) -> StateSpace
 
 def one_state() -> StateSpaceModel:
     """One state, measured twice at each step."""
-    sensor = LinearGaussian([[1.0], [0.5]], jnp.eye(2))
-    return StateSpaceModel(Gaussian([0.5], [[1.0]]), LinearGaussian([[0.9]], [[0.5]]), sensor, ("a",))
+    initial = Gaussian(jnp.array([0.5]), jnp.array([[1.0]]))
+    dynamics = LinearGaussian(jnp.array([[0.9]]), jnp.array([[0.5]]))
+    return StateSpaceModel(initial, dynamics, LinearGaussian(jnp.array([[1.0], [0.5]]), jnp.eye(2)), ("a",))
 
 
 EXTREME: dict[str, Callable[[jax.Array], jax.Array]] = {

@@ -8,6 +8,7 @@ from motes.testing import laws, loops, measurements
 from motes.testing.session import DoesNotApply, Session
 
 _KEYS = "Derive each key from that of the step by motes.core.random.child, and keep nothing outside of the law."
+_LAW = "What is needed to go on belongs to the law."
 _STAGES = "Leave `step` to TwoStageFilter, which keeps the two stages apart."
 _SETTLE = "Let `correct` say what it found, and leave what follows of it to `settle` of the base class."
 
@@ -44,19 +45,22 @@ class Outcome(NamedTuple):
 
 RULES = (
     Rule("the filter is a value", laws.value, "Make the class a record, and its parameters fields."),
-    Rule("its law keeps its form, in both precisions", laws.form, "Make arrays in the type of the model's numbers; shapes never change."),
+    Rule("its law keeps its form, in both precisions", laws.form, "Make arrays in the type of the model's; shapes never change."),
     Rule("its law answers mean, covariance and draws", laws.answers, "Look at `mean`, `cov` and `sample` of the law."),
     Rule("a stream draws the numbers of a run, to the bit", loops.stream, f"{_KEYS} {_STAGES}", exact=True),
     Rule("a step without a measurement only predicts, to the bit", loops.unmeasured, f"{_SETTLE} {_STAGES}", exact=True),
-    Rule("a run cut and continued is the run uncut, to the bit", loops.cut, f"{_KEYS} What is needed to go on belongs to the law.", exact=True),
-    Rule("a stream saved and loaded goes on, to the bit", loops.checkpoint, "All that is needed to go on belongs to the law.", exact=True),
-    Rule("a second run of the same kind compiles nothing", loops.compiled_once, "Parameters must be equal and hash alike: no arrays in static fields, "
-         "no functions made anew."),
-    Rule("runs under vmap give what they give alone", loops.vmapped, "Look for what depends on more than one run, or for shapes taken from a batch."),
+    Rule("a run cut and continued is the run uncut, to the bit", loops.cut, f"{_KEYS} {_LAW}", exact=True),
+    Rule("a stream saved and loaded goes on, to the bit", loops.checkpoint, _LAW, exact=True),
+    Rule("a second run of the same kind compiles nothing", loops.compiled_once,
+         "Parameters must be equal and hash alike: no arrays in static fields, no functions made anew."),
+    Rule("runs under vmap give what they give alone", loops.vmapped, "Look for shapes taken from a batch, and for what runs share."),
     Rule("it computes without jit what it computes with it", loops.eager, "Look for Python code that asks whether numbers are known."),
-    Rule("missing components are as if they were never measured", measurements.missing, "Leave NaN components of y out of the update, and of its determinants."),
-    Rule("its likelihood is that of the Kalman filter", measurements.likelihood, "Set has_evidence = False where what it sums is no likelihood."),
-    Rule("its likelihood can be differentiated", measurements.derivative, "Look for square roots, logarithms and divisions at 0, also where `where` hides them."),
+    Rule("missing components are as if they were never measured", measurements.missing,
+         "Leave NaN components of y out of the update, and of its determinants."),
+    Rule("its likelihood is that of the Kalman filter", measurements.likelihood,
+         "Look at constants and determinants; set has_evidence = False where what it sums is no likelihood."),
+    Rule("its likelihood can be differentiated", measurements.derivative,
+         "Look for square roots, logarithms and divisions at 0, also where `where` hides them."),
     Rule("it survives an outlier", measurements.outlier, _SETTLE),
     Rule("a collapse is told of with its step", measurements.collapse, _SETTLE),
     Rule("a collapse can be answered by inflating", measurements.inflation, "Look at `inflated` of the law."),
@@ -64,7 +68,7 @@ RULES = (
     Rule("it works with few particles", measurements.fewest, "Look for divisions by n - 1, and for shapes that are 0."),
     Rule("it works on one state", measurements.smallest, "Look for shapes that are 1 and broadcast."),
 )  # fmt: skip
-"""All rules, those that compile nothing first."""
+"""All rules."""
 
 
 def asked(rule: Rule, session: Session) -> Outcome:
