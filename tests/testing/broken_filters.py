@@ -23,9 +23,9 @@ class AnyPolicy(TextbookFilter):
 
 @record
 class SingleAlone(TextbookFilter):
-    def correct(self, *args):
-        law, info = super().correct(*args)
-        return mo.Gaussian(law.center.astype(jnp.float32), law.covariance), info
+    def update(self, *args):
+        law, info = super().update(*args)
+        return replace(law, center=law.center.astype(jnp.float32)), info
 
 
 @record

@@ -11,7 +11,7 @@ from motes.testing.session import Session
 from motes.testing.verdict import Verdict
 
 WORDS = {
-    "value": "is not refused", "form": "another form", "answers": "covariance of 40 000 draws", "stream": "differ from step 1",
+    "value": "is not refused", "form": "holds numbers of float32", "answers": "covariance of 40 000 draws", "stream": "differ from step 1",
     "unmeasured": "predicts", "cut": "differ in", "checkpoint": "is raised", "compiled_once": "an equal filter", "vmapped": "is off by",
     "eager": "the means differ", "missing": "of 3 measured", "likelihood": "times the exact one", "derivative": "not finite",
     "outlier": "not step 3 alone", "collapse": "nobody is told", "inflation": "variances", "weights": "as collapsed",
