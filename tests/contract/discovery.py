@@ -62,11 +62,11 @@ def kind_of(filter):
     return typing.get_type_hints(type(filter).init)["return"], filter.look_ahead
 
 
-def first_of_kinds(filters):
+def first_of_kinds(filters, kind=kind_of):
     """Names of filters, one of each kind."""
     found = {}
     for name, filter in filters.items():
-        found.setdefault(kind_of(filter), name)
+        found.setdefault(kind(filter), name)
     return set(found.values())
 
 

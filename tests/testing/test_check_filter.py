@@ -15,7 +15,7 @@ WORDS = {
     "unmeasured": "predicts", "cut": "differ in", "checkpoint": "is raised", "compiled_once": "an equal filter", "vmapped": "is off by",
     "eager": "the means differ", "missing": "of 3 measured", "likelihood": "times the exact one", "derivative": "not finite",
     "outlier": "not step 3 alone", "collapse": "nobody is told", "inflation": "variances", "weights": "as collapsed",
-    "fewest": "with n=1", "smallest": "is raised",
+    "fewest": "means are not finite", "smallest": "is raised",
 }  # fmt: skip
 """What the finding of each rule says of the broken filter."""
 

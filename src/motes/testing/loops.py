@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from motes.core.record import replace, values
+from motes.core.record import values
 from motes.filters.history import joined
 from motes.filters.stream import Stream
 from motes.testing.session import GAP, LANES, STEPS, Session, differing, quietly, times_traced
@@ -47,12 +47,14 @@ def unmeasured(session: Session) -> str | None:
 
 
 def cut(session: Session) -> str | None:
-    """A run that is cut and continued is the run uncut, to the bit."""
-    first = session.run(session.gappy[:1])
-    rest = session.run(session.gappy[1:], after=first)
-    together, whole = joined([first, rest]), session.whole
-    # how coarse numbers are is an average over the data of a piece
-    return _unlike("a run cut after step 0 and the whole one", replace(together, rounding=whole.rounding), whole)
+    """A run that is continued goes on as a stream that is not cut, to the bit."""
+    rest, stream = session.run(session.gappy[STEPS:], after=session.whole), session.stream()
+    means = session.fed(stream, range(2 * STEPS))
+    wrong = _unlike("a stream and the run that was cut: the means", np.stack(means), joined([session.whole, rest]).mean)
+    wrong = wrong or _unlike("a stream and the run that was cut: the last laws", stream.state, rest.state)
+    if wrong is None and session.filter.has_evidence:
+        wrong = _unlike("a stream and the run that was cut: the log likelihoods", stream.log_likelihood, rest.log_likelihood)
+    return wrong
 
 
 def checkpoint(session: Session) -> str | None:

@@ -22,17 +22,16 @@ OUTLIER = 3
 def missing(session: Session) -> str | None:
     """Components that are not measured leave the law as a model that never had them does."""
     session.ask_own_model()
-    for count in (2, 1):
-        for seen in combinations(range(3), count):
-            ys = session.ys.copy()
-            ys[:, [i for i in range(3) if i not in seen]] = np.nan
-            ys[2:] = np.nan  # further on draws can tip over where sums are rounded otherwise
-            told = [{"mean": one.mean, "covariance": one.cov, "log evidence": one.info.log_evidence}
-                    for one in (session.run(ys), session.run(ys[:, list(seen)], model=linear(seen)))]  # fmt: skip
-            for name in told[0]:
-                one, other = (np.asarray(each[name])[:2] for each in told)
-                if not np.allclose(one, other, rtol=1e-3, atol=1e-4):
-                    return f"with components {seen} of 3 measured the {name} is off by {np.max(np.abs(one - other)):.3g}."
+    for seen in combinations(range(3), 2):
+        ys = session.ys.copy()
+        ys[:, [i for i in range(3) if i not in seen]] = np.nan
+        ys[2:] = np.nan  # further on draws can tip over where sums are rounded otherwise
+        told = [{"mean": one.mean, "covariance": one.cov, "log evidence": one.info.log_evidence}
+                for one in (session.run(ys), session.run(ys[:, list(seen)], model=linear(seen)))]  # fmt: skip
+        for name in told[0]:
+            one, other = (np.asarray(each[name])[:2] for each in told)
+            if not np.allclose(one, other, rtol=1e-3, atol=1e-4):
+                return f"with components {seen} of 3 measured the {name} is off by {np.max(np.abs(one - other)):.3g}."
     return None
 
 
@@ -88,7 +87,7 @@ def outlier(session: Session) -> str | None:
             return f"after one of {size:g} {wrong}"
         exact = session.run(ys, filter=KalmanFilter(on_collapse="predict")) if session.own else session.clean
         sigma = np.sqrt(np.diagonal(np.asarray(exact.cov)[-1]))
-        off = np.abs(np.asarray(history.mean) - session.truth)[-3:].mean(axis=0) / sigma
+        off = np.abs(np.asarray(history.mean) - session.truth[:STEPS])[-3:].mean(axis=0) / sigma
         if not never_resamples and not (off < 3).all():
             return f"{STEPS - OUTLIER} steps after one of {size:g} the estimate is {off.max():.3g} standard deviations off."
     return None
@@ -156,20 +155,17 @@ def _finite(session: Session, ys: np.ndarray, size: int, **others: Any) -> str |
 
 
 def fewest(session: Session) -> str | None:
-    """It works with one particle and with three."""
+    """It works with one particle."""
     if not session.has_size:
         raise DoesNotApply("the filter has no n.")
-    for n in (1, 3):
-        wrong = _finite(session, session.ys, session.model.size, filter=replace(session.filter, n=n))
-        if wrong:
-            return f"with n={n} {wrong}"
-    return None
+    return _finite(session, session.ys, session.model.size, filter=replace(session.filter, n=1))
 
 
 def smallest(session: Session) -> str | None:
-    """It works on one state."""
+    """It works on one state, with three particles."""
     session.ask_own_model()
+    filter = replace(session.filter, n=3) if session.has_size else session.filter
     try:
-        return _finite(session, session.ys[:, :2], 1, model=one_state())
+        return _finite(session, session.ys[:, :2], 1, filter=filter, model=one_state())
     except MotesError as refusal:
         raise DoesNotApply(f"its parameters are for another model ({refusal})") from None

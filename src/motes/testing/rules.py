@@ -49,7 +49,7 @@ RULES = (
     Rule("its law answers mean, covariance and draws", laws.answers, "Look at `mean`, `cov` and `sample` of the law."),
     Rule("a stream draws the numbers of a run, to the bit", loops.stream, f"{_KEYS} {_STAGES}", exact=True),
     Rule("a step without a measurement only predicts, to the bit", loops.unmeasured, f"{_SETTLE} {_STAGES}", exact=True),
-    Rule("a run cut and continued is the run uncut, to the bit", loops.cut, f"{_KEYS} {_LAW}", exact=True),
+    Rule("a run that is continued goes on as if uncut, to the bit", loops.cut, f"{_KEYS} {_LAW}", exact=True),
     Rule("a stream saved and loaded goes on, to the bit", loops.checkpoint, _LAW, exact=True),
     Rule("a second run of the same kind compiles nothing", loops.compiled_once,
          "Parameters must be equal and hash alike: no arrays in static fields, no functions made anew."),
@@ -65,8 +65,8 @@ RULES = (
     Rule("a collapse is told of with its step", measurements.collapse, _SETTLE),
     Rule("a collapse can be answered by inflating", measurements.inflation, "Look at `inflated` of the law."),
     Rule("weights that are none are not used in silence", measurements.weights, "Weigh by `reweigh`, which sees to it."),
-    Rule("it works with few particles", measurements.fewest, "Look for divisions by n - 1, and for shapes that are 0."),
-    Rule("it works on one state", measurements.smallest, "Look for shapes that are 1 and broadcast."),
+    Rule("it works with one particle", measurements.fewest, "Look for divisions by n - 1, and for shapes that are 0."),
+    Rule("it works on one state, with three particles", measurements.smallest, "Look for shapes that are 1 and broadcast."),
 )  # fmt: skip
 """All rules."""
 

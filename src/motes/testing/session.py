@@ -66,17 +66,17 @@ class Session:
         filter: the filter; measurements at which it collapses are left out, and say so.
         model: the model.
         own: whether the model is that of the contract, of which more is known than of any other.
-        truth: states `(t, x)`.
-        ys: measurements of them `(t, y)`.
-        gappy: the same with gaps.
+        truth: states `(2 t, x)`.
+        ys: measurements of the first half of them `(t, y)`.
+        gappy: of all of them, with gaps, `(2 t, y)`.
     """
 
     def __init__(self, filter: Filter, model: Any = None):
         """Draw data from a model; from one of two states, of which three linear functions are measured, where none is given."""
         self.filter, self.own = replace(filter, on_collapse="predict"), model is None
         self.model = linear(range(3)) if model is None else model
-        self.truth, self.ys = (np.array(drawn) for drawn in simulate(5, self.model, STEPS))
-        self.gappy = self.ys.copy()
+        self.truth, self.gappy = (np.array(drawn) for drawn in simulate(5, self.model, 2 * STEPS))
+        self.ys = self.gappy[:STEPS].copy()
         self.gappy[GAP] = np.nan
         if self.own:  # not every sensor can leave out single components
             self.gappy[PARTLY, 0] = np.nan
@@ -99,8 +99,8 @@ class Session:
 
     @cached_property
     def whole(self) -> History:
-        """The run over all measurements, with gaps."""
-        return self.run(self.gappy)
+        """The run over the first half of the measurements with gaps."""
+        return self.run(self.gappy[:STEPS])
 
     @cached_property
     def clean(self) -> History:
