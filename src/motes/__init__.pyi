@@ -2,6 +2,7 @@ from . import filters as filters
 from . import mcmc as mcmc
 from . import montecarlo as montecarlo
 from . import parameters as parameters
+from . import testing as testing
 from .bounds.bound import Bound as Bound
 from .bounds.kalman_at_truth import kalman_at_truth as kalman_at_truth
 from .bounds.posterior_cramer_rao import posterior_cramer_rao as posterior_cramer_rao

@@ -1,46 +1,73 @@
-"""Finds every filter in motes.filters (and the skeleton of CONTRIBUTING) and makes one of each to test."""
+"""Finds every filter and smoother of the library (and the skeleton of CONTRIBUTING) and makes one of each to test."""
 
 import dataclasses
 import importlib
 import importlib.util
 import inspect
 import pkgutil
+import typing
 from pathlib import Path
 
 import motes.filters
+import motes.smoothers
 from motes.filters.interface import Filter
+from motes.smoothers.interface import Smoother
 
 SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
 
-KNOBS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (31, 29)}
+KNOBS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (31, 29),
+         "function": lambda before, after, u, t: after, "size": 2}  # fmt: skip
 """Values for knobs that have no default; a new filter whose knob is not listed here says so by failing."""
 
 
 def _modules():
-    for module in pkgutil.iter_modules(motes.filters.__path__):
-        yield importlib.import_module(f"motes.filters.{module.name}")
+    for room in (motes.filters, motes.smoothers):
+        for module in pkgutil.iter_modules(room.__path__):
+            yield importlib.import_module(f"{room.__name__}.{module.name}")
     spec = importlib.util.spec_from_file_location("skeleton_filter", SKELETON)
     skeleton = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(skeleton)
     yield skeleton
 
 
-def filter_classes():
-    """Every concrete filter class, by name."""
+def _classes(kind):
     found = {}
     for module in _modules():
         for value in vars(module).values():
-            own = inspect.isclass(value) and issubclass(value, Filter) and value.__module__ == module.__name__
+            own = inspect.isclass(value) and issubclass(value, kind) and value.__module__ == module.__name__
             if own and not inspect.isabstract(value):
                 found[value.__name__] = value
     return found
 
 
+def filter_classes():
+    """Every concrete filter class, by name."""
+    return _classes(Filter)
+
+
+def smoother_classes():
+    """Every concrete smoother class, by name."""
+    return _classes(Smoother)
+
+
 def example(cls, **changes):
-    """One filter of a class, with the required knobs filled in."""
+    """One filter or smoother of a class, with the required knobs filled in."""
     needed = [f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING]
     knobs = {name: KNOBS[name] for name in needed}
     return cls(**{**knobs, **changes})
+
+
+def kind_of(filter):
+    """The kind of law that a filter says it keeps, and whether it looks ahead: what the loop sees of it."""
+    return typing.get_type_hints(type(filter).init)["return"], filter.look_ahead
+
+
+def first_of_kinds(filters, kind=kind_of):
+    """Names of filters, one of each kind."""
+    found = {}
+    for name, filter in filters.items():
+        found.setdefault(kind(filter), name)
+    return set(found.values())
 
 
 SHARED = ("Ensemble", "GaussianParticle", "GaussianSum", "CostReference", "Interacting", "JumpMarkov", "Auxiliary")

@@ -17,7 +17,7 @@ from tiers import each
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
 from discovery import examples, is_variant
 
-from models import linear
+from motes.testing.models import linear
 
 needs_compiler = pytest.mark.skipif(bool(blocks.standing()), reason=f"native engine: {blocks.standing()}")
 FILTERS = examples()

@@ -11,12 +11,12 @@ import pytest
 
 import motes as mo
 from contract.discovery import examples
-from contract.models import linear
 from motes.core import checks
 from motes.costs import measure
 from motes.filters import parallel, stream
 from motes.filters import run as running
 from motes.smoothers import smooth as smoothing
+from motes.testing.models import linear
 
 STEPS = 6
 PLAIN = np.arange(2.0 * STEPS).reshape(STEPS, 2)

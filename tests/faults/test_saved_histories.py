@@ -11,8 +11,8 @@ import pytest
 
 import motes as mo
 from contract.discovery import examples, is_variant
-from contract.models import linear
 from motes.filters import history as histories
+from motes.testing.models import linear
 from tiers import each
 
 MODEL = linear()

@@ -12,19 +12,12 @@ import motes as mo
 from motes.core.record import replace
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
-from discovery import examples
+from discovery import example, examples, smoother_classes
 from test_smoothers import linear
 
 YS = np.array([[0.3], [1.2], [np.nan], [0.9]])
-SMOOTHERS = {name: getattr(mo, name) for name in mo.__all__ if name.endswith("Smoother") and name != "Smoother"}
-ALL = examples() | {
-    "PaRIS": mo.PaRIS(n=9, function=lambda before, after, u, t: after, size=2),
-    "ParticleFilter, transport": mo.ParticleFilter(n=9, scheme=mo.EntropicTransport()),
-}
-
-def smoother(name):
-    return SMOOTHERS[name](**({"n": 9} if "n" in SMOOTHERS[name].__dataclass_fields__ else {}))
-
+SMOOTHERS = smoother_classes()
+ALL = examples() | {"ParticleFilter, transport": mo.ParticleFilter(n=9, scheme=mo.EntropicTransport())}
 
 def outcomes(filter, model):
     """What each smoother makes of a run: None where it smooths, otherwise its refusal."""
@@ -32,7 +25,7 @@ def outcomes(filter, model):
     history = jax.eval_shape(lambda: mo.run(0, filter, model, YS, keep=mo.keep.laws))
     for name in SMOOTHERS:
         try:
-            jax.eval_shape(lambda history, name=name: mo.smooth(1, smoother(name), model, history, YS), history)
+            jax.eval_shape(lambda history, name=name: mo.smooth(1, example(SMOOTHERS[name]), model, history, YS), history)
             found[name] = None
         except mo.MotesError as refusal:
             found[name] = str(refusal)
