@@ -86,7 +86,8 @@ def test_likelihoods_that_are_no_numbers():
     odd = mo.StateSpaceModel(base.initial, base.dynamics, sensor, base.names)
     found = mo.diagnose(mo.run(1, mo.ParticleFilter(n=500), odd, np.ones((4, 1))))
     assert "invalid" in found and "likelihood that is not a number" in str(found)
-    nowhere = mo.StateSpaceModel(base.initial, base.dynamics, mo.AdditiveGaussian(lambda x, u, t: jnp.sqrt(x[:1] - 100), [[0.5]]), base.names)
+    sensor = mo.AdditiveGaussian(lambda x, u, t: jnp.sqrt(x[:1] - 100), [[0.5]])
+    nowhere = mo.StateSpaceModel(base.initial, base.dynamics, sensor, base.names)
     with pytest.raises(mo.CollapseError, match="500 of them are not numbers: look for roots"):
         mo.run(1, mo.ParticleFilter(n=500), nowhere, np.ones((4, 1)))
 

@@ -29,8 +29,9 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     """Judge a run and say in words what is wrong and what to try.
 
     Looks for what `run` warns of (collapse, numbers too coarse for their noise, starvation at any step, the alarm), for measurements that
-    lie far from what was predicted, or so near that the noises must be too large, low effective sample sizes, likelihoods that are not numbers; at states that look like angles which
-    nobody declared; in runs with kept laws at heavy-tailed weights and degenerate paths; with the truth at covariances too small or large.
+    lie far from what was predicted, or so near that noises must be too large, low effective sample sizes, likelihoods that are not numbers;
+    at states that look like angles which nobody declared; in runs with kept laws at heavy-tailed weights and degenerate paths; with the
+    truth at covariances too small or large.
 
     Args:
         history: of a run. With `keep=mo.keep.laws` more can be seen.

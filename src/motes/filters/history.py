@@ -147,8 +147,7 @@ class History:
         cure = ("If the sensor has no noise in some component: give it a little, or use OptimalProposal or a Kalman filter"
                 if highest == -np.inf else "Check the measurement and the noises, use more particles")  # fmt: skip
         if self.info.invalid[where]:
-            cure = (f"{int(self.info.invalid[where])} of them are not numbers: look for roots and logarithms of negative numbers in dynamics "
-                    "and sensor")  # fmt: skip
+            cure = f"{int(self.info.invalid[where])} of them are not numbers: look for roots and logarithms of negative numbers"
         raise checks.CollapseError(
             f"step {int(self.start) + where}: all weights vanished: log likelihoods between {lowest:.4g} and {highest:.4g}; "
             f"no particle explains the measurement ({self.label.split('(')[0]}). {cure}, or set on_collapse='predict' or 'inflate'."

@@ -111,7 +111,8 @@ def alarm(history: History) -> Finding | None:
     if not steps.size:
         return None
     text = f"alarm at {at(history, steps)}: measurements scatter more than was predicted of them."
-    return Finding("alarm", text, f"Raise the noises, or look for what the model leaves out{', or use more particles' * history.weighs}.", True)
+    more = ", or use more particles" if history.weighs else ""
+    return Finding("alarm", text, f"Raise the noises, or look for what the model leaves out{more}.", True)
 
 
 def at(history: History, steps: np.ndarray) -> str:
