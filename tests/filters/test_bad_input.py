@@ -167,7 +167,7 @@ CASES = {
         lambda: run_with(mo.InteractingMultipleModel(), model=good_model(sensor=mo.Custom(log_prob=lambda y, x, u, t: 0.0))),
         "InteractingMultipleModel sensor: expected a mean function and a noise covariance, got Custom"),
     "modes of no chain": (lambda: run_with(keep=mo.keep.modes), "keep.modes: expected a filter of jump-Markov systems, or a cloud of a joined model, got one whose law is a Cloud, of a model without modes"),
-    "modes not kept": (lambda: run_with().mode_probabilities, "got none. Run with keep=mo.keep.modes."),
+    "modes not kept": (lambda: run_with().mode_probabilities, "got one that kept cov and mean. Run with keep=mo.keep.modes."),
     "delta": (lambda: mo.InverseExcess(delta=0.0), "InverseExcess delta: expected a number above 0, got 0.0"),
     "grid ends": (lambda: mo.PointMassFilter(1.0, 0.0, 9), "PointMassFilter lower: expected numbers below those of upper"),
     "grid dimensions": (lambda: run_with(mo.PointMassFilter(0.0, 1.0, 9)), "PointMassFilter nodes: expected 2 dimensions (states of the model), got 1"),
