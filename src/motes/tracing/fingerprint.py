@@ -29,6 +29,7 @@ def fingerprint(argument: str, value: Any) -> str:
 
 
 def _spelled(argument: str, value: Any) -> str:
+    """Write down what a value is: what holds others by its name and them, the rest by a word."""
     if isinstance(value, Program) and value.identity.program is not None:
         return _spelled(argument, value.identity.program)
     if isinstance(value, Rule):
@@ -37,14 +38,19 @@ def _spelled(argument: str, value: Any) -> str:
         return f"{type(value).__name__}({','.join(_spelled(argument, item) for item in value)})"
     if isinstance(value, dict):
         return f"dict({','.join(f'{_spelled(argument, name)}:{_spelled(argument, item)}' for name, item in value.items())})"
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        return f"{type(value).__qualname__}{_spelled(argument, fields)}"
+    if not jax.tree_util.all_leaves([value]):
+        leaves, form = jax.tree.flatten(value)  # of somebody else's class
+        return _spelled(argument, (str(form), leaves))
+    return _word(argument, value)
+
+
+def _word(argument: str, value: Any) -> str:
+    """Write down an array, a function of the library's, or a plain value; refuse what only says where in memory it is."""
     if isinstance(value, (jax.Array, np.ndarray)) and not jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
         return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
-        return f"{type(value).__qualname__}{_spelled(argument, dict(fields))}"
-    if not jax.tree_util.all_leaves([value]):
-        leaves, form = jax.tree.flatten(value)
-        return _spelled(argument, (str(form), leaves))
     if isinstance(value, FunctionType) and value.__module__.startswith("motes.") and value.__closure__ is None:
         return f"{value.__module__}.{value.__qualname__}"
     text = value.name if isinstance(value, Primitive) else repr(value)
