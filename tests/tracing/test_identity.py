@@ -70,7 +70,7 @@ PAIRS = {
         lambda x, u, t: jax.lax.fori_loop(0, 4, lambda i, v: v * 2, x),
     ),
     "derivative rule": (lambda x, u, t: _steep(x), lambda x, u, t: _flat(x)),
-    "derivative rule, jitted": (lambda x, u, t: jax.jit(_steep)(x), lambda x, u, t: jax.jit(_flat)(x)),
+    "derivative rule, jitted": (lambda x, u, t: jax.jit(lambda z: _steep(z))(x), lambda x, u, t: jax.jit(lambda z: _flat(z))(x)),
     "rule for many": (lambda x, u, t: _doubled(x), lambda x, u, t: _doubled_apart(x)),
     "function with a rule for many": (lambda x, u, t: _doubled(x), lambda x, u, t: _tripled(x)),
     "kind of result": (lambda x, u, t: x, lambda x, u, t: [x[0], x[1]]),
