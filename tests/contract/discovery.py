@@ -70,7 +70,8 @@ def first_of_kinds(filters, kind=kind_of):
     return set(found.values())
 
 
-SHARED = ("Ensemble", "GaussianParticle", "GaussianSum", "CostReference", "Interacting", "JumpMarkov", "Auxiliary")
+SHARED = {"EnsembleKalmanFilter", "GaussianParticleFilter", "GaussianSumParticleFilter", "CostReferenceParticleFilter",
+          "InteractingMultipleModel", "JumpMarkovFilter", "AuxiliaryParticleFilter", "PaRIS"}  # fmt: skip
 
 
 def is_variant(name):
@@ -80,7 +81,7 @@ def is_variant(name):
 
 def shares_stages(name):
     """Whether all stages of an example are made of what others have, too: some questions it is asked by night alone."""
-    return is_variant(name) or name.startswith(SHARED)
+    return is_variant(name) or name in SHARED
 
 
 def examples():
