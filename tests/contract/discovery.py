@@ -15,7 +15,7 @@ from motes.smoothers.interface import Smoother
 
 SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
 
-KNOBS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (31, 29),
+KNOBS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (33, 31),
          "function": lambda before, after, u, t: after, "size": 2}  # fmt: skip
 """Values for knobs that have no default; a new filter whose knob is not listed here says so by failing."""
 
