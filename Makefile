@@ -44,16 +44,14 @@ NATIVE := tests/contract tests/filters tests/oracles tests/applications tests/la
 test-native: $(STAMP)
 	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup $(NATIVE)
 
-# the contract, traced programs and the native engine once more, on the newest Python that is here and the newest JAX for it; what compiles
-# much and asks nothing of the version is left out
-LEFT_OUT := not test_one_outlier and not test_extreme_weights and not test_vmap and not test_eager
+# the contract, traced programs and the native engine once more, on the newest Python that is here and the newest JAX for it
 test-newest:
 	@newest=$$($(PYTHON) tests/newest.py) && if [ -z "$$newest" ]; then \
 		echo "test-newest: no Python 3.12 or newer on this machine, nothing tested"; \
 	else \
 		$(MAKE) --no-print-directory setup VENV=$(NEWEST) PYTHON="$$newest" EXTRAS=test && \
 		export XLA_FLAGS="$$($(NEWEST)/bin/python tests/quick.py)" && \
-		$(NEWEST)/bin/python -m pytest -n 2 --dist loadgroup -m "not optimized" -k "$(LEFT_OUT)" tests/contract tests/native tests/tracing; \
+		$(NEWEST)/bin/python -m pytest -n 2 --dist loadgroup -m "not optimized" tests/contract tests/native tests/tracing; \
 	fi
 
 lint: $(STAMP)

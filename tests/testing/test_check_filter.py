@@ -28,6 +28,7 @@ def test_each_rule_sees_a_filter_that_breaks_it(rule):
     assert WORDS[name] in outcome.finding.text, outcome.finding.text
 
 
+@pytest.mark.optimized
 def test_a_filter_of_ones_own_is_asked_everything_that_applies():
     verdict = mo.testing.check_filter(TextbookFilter())
     verdict.raise_on_failure()
@@ -53,3 +54,12 @@ def test_refusals():
                               mo.LinearGaussian([[1.0]], [[1.0]]))  # fmt: skip
     with pytest.raises(mo.MotesError, match="TextbookFilter model: expected matrices"):
         mo.testing.check_filter(TextbookFilter(), bent)
+
+
+def test_on_a_model_of_ones_own_rules_ask_what_they_can_know():
+    tilt = mo.StateSpaceModel(mo.Gaussian([1.0], [[2.0]]), mo.LinearGaussian([[0.9]], [[0.4]]), mo.LinearGaussian([[1.5]], [[0.3]]))
+    session = Session(TextbookFilter(), tilt)
+    short = [rule for rule in RULES if not rule.exact and rule.ask.__name__ not in ("eager", "derivative", "vmapped")]
+    outcomes = {rule.ask.__name__: asked(rule, session) for rule in short}
+    assert {name for name, one in outcomes.items() if one.left_out} == {"missing", "likelihood", "weights", "fewest", "smallest"}
+    assert [one.finding for one in outcomes.values() if one.finding] == []
