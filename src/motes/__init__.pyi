@@ -58,6 +58,7 @@ from .filters.interface import TwoStageFilter as TwoStageFilter
 from .filters.jump_markov import JumpMarkovFilter as JumpMarkovFilter
 from .filters.kalman import KalmanFilter as KalmanFilter
 from .filters.kernel import KalmanParticleKernelFilter as KalmanParticleKernelFilter
+from .filters.look_ahead import LookAheadFilter as LookAheadFilter
 from .filters.marginalized import MarginalizedParticleFilter as MarginalizedParticleFilter
 from .filters.marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
 from .filters.parallel import run_in_parallel as run_in_parallel
