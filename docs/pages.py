@@ -53,13 +53,23 @@ def choice():
 def page(name, cls):
     """Return the text of a method's own page."""
     method = inspect.getdoc(inspect.getmodule(cls))
-    about, _, rest = inspect.getdoc(cls).partition("\nAttributes:\n")
-    knobs = re.findall(r"^ {4}(\w+): (.*?)(?=^ {4}\w+: |\Z)", rest, re.S | re.M)
+    about, found = inspect.getdoc(cls).partition("\nAttributes:\n")[0], knobs(cls)
     defaults = {field.name: field.default for field in dataclasses.fields(cls)}
-    table = "".join(f"| `{knob}` | {' '.join(text.split())} | {shown(defaults[knob])} |\n" for knob, text in knobs)
-    table = f"\n| knob | meaning | default |\n| --- | --- | --- |\n{table}" if knobs else ""
+    table = "".join(f"| `{knob}` | {' '.join(text.split())} | {shown(defaults[knob])} |\n" for knob, text in found.items())
+    table = f"\n| knob | meaning | default |\n| --- | --- | --- |\n{table}" if found else ""
     guide = f"\nNeeds: {cls.guide.needs}. Cost of a step: {cls.guide.cost}. Use: {cls.guide.use}.\n" if issubclass(cls, mo.Filter) else ""
     return f"# `{name}`\n\n{method}\n\n## Knobs\n\n{about.strip()}\n{table}{guide}"
+
+
+def knobs(cls):
+    """Return what a method says of its knobs, by name: its own first, then those of the classes that it derives from."""
+    fields, found = {field.name for field in dataclasses.fields(cls)}, {}
+    for part in cls.__mro__:
+        _, _, told = inspect.cleandoc(vars(part).get("__doc__") or "").partition("\nAttributes:\n")
+        for name, text in re.findall(r"^ {4}(\w+): (.*?)(?=^ {4}\w+: |\Z)", told, re.S | re.M):
+            if name in fields:
+                found.setdefault(name, text)
+    return found
 
 
 def shown(default):

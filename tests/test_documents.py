@@ -27,7 +27,7 @@ def test_readme_example(tmp_path, capsys):
 def test_public_names_exist(document):
     for name, inner in set(re.findall(r"\bmo\.([A-Za-z_]+)(?:\.([A-Za-z_]+))?", document.read_text())):
         assert hasattr(mo, name), name
-        if name in ("mcmc", "montecarlo", "parameters", "testing") and inner:
+        if name in ("gaussian", "mcmc", "montecarlo", "parameters", "testing") and inner:
             assert hasattr(getattr(mo, name), inner), f"{name}.{inner}"
 
 
@@ -47,7 +47,7 @@ def test_pages_are_what_the_methods_say_of_themselves():
 
 def test_every_public_name_is_documented():
     prose = "".join(document.read_text() for document in DOCUMENTS)
-    for room in (mo, mo.mcmc, mo.montecarlo, mo.parameters, mo.testing):
+    for room in (mo, mo.gaussian, mo.mcmc, mo.montecarlo, mo.parameters, mo.testing):
         for name in room.__all__:
             assert getattr(getattr(room, name), "__doc__", None), name
             assert re.search(rf"\b{name}\b", prose), f"{name}: not in README.md or docs/"

@@ -1,4 +1,5 @@
 from . import filters as filters
+from . import gaussian as gaussian
 from . import mcmc as mcmc
 from . import montecarlo as montecarlo
 from . import parameters as parameters
@@ -45,6 +46,7 @@ from .filters.explain import Explanation as Explanation
 from .filters.explain import explain as explain
 from .filters.extended_kalman import ExtendedKalmanFilter as ExtendedKalmanFilter
 from .filters.gauss_hermite import GaussHermiteFilter as GaussHermiteFilter
+from .filters.gaussian import GaussianFilter as GaussianFilter
 from .filters.gaussian_particle import GaussianParticleFilter as GaussianParticleFilter
 from .filters.gaussian_sum import GaussianSumParticleFilter as GaussianSumParticleFilter
 from .filters.history import History as History
@@ -56,11 +58,16 @@ from .filters.interface import TwoStageFilter as TwoStageFilter
 from .filters.jump_markov import JumpMarkovFilter as JumpMarkovFilter
 from .filters.kalman import KalmanFilter as KalmanFilter
 from .filters.kernel import KalmanParticleKernelFilter as KalmanParticleKernelFilter
+from .filters.look_ahead import LookAheadFilter as LookAheadFilter
 from .filters.marginalized import MarginalizedParticleFilter as MarginalizedParticleFilter
 from .filters.marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
 from .filters.parallel import run_in_parallel as run_in_parallel
 from .filters.particle import ParticleFilter as ParticleFilter
 from .filters.point_mass import PointMassFilter as PointMassFilter
+from .filters.proposals import ExtendedKalmanProposal as ExtendedKalmanProposal
+from .filters.proposals import OptimalProposal as OptimalProposal
+from .filters.proposals import Proposal as Proposal
+from .filters.proposals import UnscentedProposal as UnscentedProposal
 from .filters.regularized import RegularizedParticleFilter as RegularizedParticleFilter
 from .filters.run import run as run
 from .filters.run import run_in_chunks as run_in_chunks
@@ -88,10 +95,6 @@ from .mcmc.chains import Chains as Chains
 from .mcmc.sample import sample as sample
 from .models.jump_markov import JumpMarkovModel as JumpMarkovModel
 from .models.mixed_linear import MixedLinearModel as MixedLinearModel
-from .models.proposals import ExtendedKalmanProposal as ExtendedKalmanProposal
-from .models.proposals import OptimalProposal as OptimalProposal
-from .models.proposals import Proposal as Proposal
-from .models.proposals import UnscentedProposal as UnscentedProposal
 from .models.simulate import simulate as simulate
 from .models.state_space import StateSpaceModel as StateSpaceModel
 from .models.structure import Structure as Structure

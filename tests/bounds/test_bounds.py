@@ -9,7 +9,7 @@ from scipy.stats import norm
 import motes as mo
 from data import refused
 from motes.core.record import replace
-from motes.models.linearize import affine
+from motes.gaussian.taylor import affine
 from motes.models.textbook import radar_tracking
 
 CROSSED = np.array([[1, 0.2, 0.5], [0, 0.9, 0.1], [-0.05, 0.1, 0.8]])

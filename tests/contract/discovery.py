@@ -11,12 +11,13 @@ from pathlib import Path
 import motes.filters
 import motes.smoothers
 from motes.filters.interface import Filter
+from motes.gaussian.sigma_points import Cubature
 from motes.smoothers.interface import Smoother
 
 SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
 
 KNOBS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (33, 31),
-         "function": lambda before, after, u, t: after, "size": 2}  # fmt: skip
+         "function": lambda before, after, u, t: after, "size": 2, "rule": Cubature()}  # fmt: skip
 """Values for knobs that have no default; a new filter whose knob is not listed here says so by failing."""
 
 
@@ -70,7 +71,7 @@ def first_of_kinds(filters, kind=kind_of):
     return set(found.values())
 
 
-SHARED = {"EnsembleKalmanFilter", "GaussianParticleFilter", "GaussianSumParticleFilter", "CostReferenceParticleFilter",
+SHARED = {"EnsembleKalmanFilter", "GaussianFilter", "GaussianParticleFilter", "GaussianSumParticleFilter", "CostReferenceParticleFilter",
           "InteractingMultipleModel", "JumpMarkovFilter", "AuxiliaryParticleFilter", "PaRIS"}  # fmt: skip
 
 

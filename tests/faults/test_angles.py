@@ -155,7 +155,7 @@ SMOOTHERS = {
     "MixtureSmoother, kernels": (mo.KalmanParticleKernelFilter(n=100), mo.MixtureSmoother(n=60)),
     "RaoBlackwellizedSmoother": (mo.MarginalizedParticleFilter(n=100), mo.RaoBlackwellizedSmoother(n=60)),
     "RauchTungStriebelSmoother": (mo.ExtendedKalmanFilter(), mo.RauchTungStriebelSmoother()),
-    "RauchTungStriebelSmoother, sigma": (mo.UnscentedKalmanFilter(), mo.RauchTungStriebelSmoother("sigma")),
+    "RauchTungStriebelSmoother, sigma": (mo.UnscentedKalmanFilter(), mo.RauchTungStriebelSmoother(mo.gaussian.Cubature())),
     "TwoFilterSmoother": (CLOUD, mo.TwoFilterSmoother(n=200)),
 }  # fmt: skip
 

@@ -150,6 +150,8 @@ CASES = {
         lambda: run_with(mo.CubatureKalmanFilter(), model=good_model(sensor=mo.Custom(log_prob=lambda y, x, u, t: 0.0))),
         "CubatureKalmanFilter sensor: expected a mean function and a noise covariance, got Custom"),
     "iterations": (lambda: mo.ExtendedKalmanFilter(iterations=0), "ExtendedKalmanFilter iterations: expected a whole number of at least 1, got 0"),
+    "no rule": (lambda: mo.GaussianFilter("cubature"), "GaussianFilter rule: expected a rule such as mo.gaussian.Cubature(), got str"),
+    "rule of a bank": (lambda: mo.InteractingMultipleModel(mo.gaussian.Taylor(0)), "InteractingMultipleModel iterations: expected a whole number of at least 1, got 0"),
     "ensemble form": (lambda: mo.EnsembleKalmanFilter(n=3, form="etkf"), "EnsembleKalmanFilter form: expected one of 'deterministic', 'stochastic', got 'etkf'"),
     "inflation": (lambda: mo.EnsembleKalmanFilter(n=3, inflation=-1.0), "EnsembleKalmanFilter inflation: expected a number above 0, got -1.0"),
     "mixands": (lambda: mo.GaussianSumParticleFilter(n=3, mixands=0), "GaussianSumParticleFilter mixands: expected a whole number of at least 1, got 0"),

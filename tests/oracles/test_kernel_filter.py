@@ -7,7 +7,7 @@ import pytest
 
 import motes as mo
 from motes.core import random
-from motes.models import linearize
+from motes.gaussian.sigma_points import regressed_on, unscaled
 from oracles.test_linear_gaussian import four_states
 from tiers import each
 
@@ -134,10 +134,10 @@ def test_regression_is_exact_for_second_degree(double):
     sensor = mo.AdditiveGaussian(lambda x, u, t: (x[0] ** 2 + 3 * x[0] * x[2] - x[1])[None], [[0.1]])
     B, K = np.array([[1.0, 1.5], [1.5, 0.0]]), P[np.ix_([0, 2], [0, 2])]
     L = np.linalg.cholesky(K)
-    found = linearize.regressed(sensor, (0, 2), jnp.asarray(m[:, None]), jnp.asarray(L), None, 0)
+    found = regressed_on(sensor, (0, 2), jnp.asarray(m[:, None]), jnp.asarray(L), None, 0)
     c = m[[0, 2]]
     assert np.isclose(found.prediction[0, 0], c @ B @ c + np.trace(B @ K) - m[1])
-    assert np.allclose(linearize.untilted(found.tilt, jnp.asarray(L))[0, :, 0], 2 * B @ c)
+    assert np.allclose(unscaled(found.scaled_slope, jnp.asarray(L))[0, :, 0], 2 * B @ c)
     # sigma points see the second degree along the columns of L alone: of 2 tr(B K B K) they give the squares of the diagonal of L' B L
     bends = np.diag(L.T @ B @ L)
     assert np.isclose(found.unexplained[0, 0, 0], 3 * np.sum(bends**2) - np.sum(bends) ** 2)

@@ -69,17 +69,17 @@ def exact(model, ys):
     return mean, np.stack([cov[2 * t : 2 * t + 2, 2 * t : 2 * t + 2] for t in range(len(ys))])
 
 
-@pytest.mark.parametrize("slope", ["jacobian", "sigma"])
+@pytest.mark.parametrize("rule", [mo.gaussian.Taylor(), mo.gaussian.Cubature()], ids=["slopes", "sigma points"])
 @pytest.mark.parametrize("correlated", [False, True])
-def test_rauch_tung_striebel_is_exact(slope, correlated, double):
+def test_rauch_tung_striebel_is_exact(rule, correlated, double):
     model = linear([[0.2], [-0.1]] if correlated else None)
     ys = data(model)
     history = mo.run(0, mo.KalmanFilter(), model, ys)
-    found = mo.smooth(1, mo.RauchTungStriebelSmoother(slope), model, history, ys)
+    found = mo.smooth(1, mo.RauchTungStriebelSmoother(rule), model, history, ys)
     mean, cov = exact(model, ys)
     assert np.allclose(found.mean, mean, rtol=1e-9, atol=1e-9)
     assert np.allclose(found.cov, cov, rtol=1e-9, atol=1e-9)
-    assert found.names == ("a", "b") and slope in found.label
+    assert found.names == ("a", "b") and repr(rule) in found.label
 
 
 def errors(smoother, filter, seeds):
@@ -226,7 +226,7 @@ def test_bad_input_is_named():
             lambda: mo.smooth(0, mo.BackwardSimulationSmoother(n=9, parents=mo.RejectedParents()), heavy, clouds),
         "BackwardSimulationSmoother parents: expected a rule": lambda: mo.BackwardSimulationSmoother(n=9, parents="exact"),
         "GenealogySmoother lag: expected": lambda: mo.GenealogySmoother(lag=0),
-        "RauchTungStriebelSmoother slope: expected one of 'jacobian', 'sigma'": lambda: mo.RauchTungStriebelSmoother("steep"),
+        "RauchTungStriebelSmoother rule: expected a rule such as mo.gaussian.Cubature": lambda: mo.RauchTungStriebelSmoother("steep"),
         "TwoFilterSmoother inflation: expected a factor of at least 1": lambda: mo.TwoFilterSmoother(n=9, inflation=0.5),
         "PaRIS function: expected a function": lambda: mo.PaRIS(n=9, function=3, size=1),
         "PaRIS function: expected shape": lambda: mo.run(0, mo.PaRIS(n=9, function=lambda a, b, u, t: a, size=3), model, ys),

@@ -12,8 +12,9 @@ from motes.bounds.bound import Bound
 from motes.core import checks
 from motes.core.types import Inputs
 from motes.filters.needs import as_state_space
+from motes.gaussian.rule import has_moments
+from motes.gaussian.taylor import Taylor, affine
 from motes.laws.gaussian import Gaussian
-from motes.models import linearize
 from motes.models.canonical import canonical, one_of
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
 from motes.tracing.compiling import jitted
@@ -41,7 +42,7 @@ def kalman_at_truth(model: Any, xs: jax.Array, inputs: Inputs = None) -> Bound:
     given = as_state_space("kalman_at_truth", model)
     for name in ("dynamics", "sensor"):
         part = getattr(given, name)
-        if not linearize.has_moments(part):
+        if not has_moments(part):
             checks.refuse(f"kalman_at_truth {name}", "a mean function and a noise covariance (it uses the Jacobian)", type(part).__name__)
     if given.noise_cross_cov is not None:
         checks.refuse("kalman_at_truth model", "independent process and measurement noise", "noise_cross_cov")
@@ -58,11 +59,11 @@ def _covariances(given: Any, xs: jax.Array, inputs: Inputs, beside: Beside) -> j
     model.check(at_step(inputs, 0))
 
     def measure(cov: jax.Array, t: Any) -> jax.Array:
-        prediction, H, R = linearize.affine(model.sensor, xs[t], at_step(inputs, t), t)
+        prediction, H, R = affine(model.sensor, xs[t], at_step(inputs, t), t)
         return Gaussian(xs[t], cov).corrected(jnp.zeros_like(prediction), H, R).law.covariance
 
     def advance(cov: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
-        ahead = linearize.moved(model.dynamics, Gaussian(xs[t - 1], cov), at_step(inputs, t), t)
+        ahead = Taylor().through(model.dynamics, Gaussian(xs[t - 1], cov), at_step(inputs, t), t)
         cov = measure(ahead.covariance, t)
         return cov, cov
 

@@ -24,9 +24,9 @@ from motes.bounds.bound import Bound
 from motes.core import checks, linalg, random
 from motes.core.types import Inputs, KeyLike
 from motes.filters.needs import as_state_space
+from motes.gaussian.taylor import affine
 from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
-from motes.models import linearize
 from motes.models.canonical import canonical, one_of
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
 from motes.models.structure import trace
@@ -102,7 +102,7 @@ def _recursion(
     traced = trace(model, at_step(inputs, 0))
     states = slice(model.size)
     noise_varies = {name: bool(uses[states].any()) for name, uses in traced.noise_uses.items()}
-    affine = not traced.slope_pairs["dynamics"][:, states, states].any() and not noise_varies["dynamics"]
+    linear = not traced.slope_pairs["dynamics"][:, states, states].any() and not noise_varies["dynamics"]
     identity = jnp.eye(model.size, dtype=model.dtype)
 
     def measured(G: jax.Array, X: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
@@ -111,8 +111,8 @@ def _recursion(
         return linalg.solve_lower(turned, G.T).T, _fault(rows, regular, 1)
 
     def moved(G: jax.Array, X: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
-        if affine:
-            _, F, Q = linearize.affine(model.dynamics, X[:, 0], u, t)
+        if linear:
+            _, F, Q = affine(model.dynamics, X[:, 0], u, t)
             return linalg.cholesky_update(linalg.cholesky(Q), linalg.product(F, G)), _fault(F, True, 2)
         rows, ends, regular = _information(model.dynamics, X, u, t, noise_varies["dynamics"])
         # rows of the joint information of z and x_t, where x_{t-1} = constant - G z and z has the information I
@@ -147,7 +147,7 @@ def _information(part: Conditional, X: jax.Array, u: Any, t: Any, varies: bool) 
     """
 
     def of(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        mean, slope, noise = linearize.affine(part, x, u, t)
+        mean, slope, noise = affine(part, x, u, t)
         factor = linalg.cholesky(noise)
         rows, ends = linalg.solve_lower(factor, slope), linalg.solve_lower(factor, jnp.eye(mean.shape[0], dtype=x.dtype))
         if varies:

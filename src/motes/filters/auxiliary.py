@@ -7,27 +7,28 @@
 The evidence is the sum of the weights; after resampling that is sum(w s) times the mean of the second-stage weights, which is unbiased.
 """
 
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, random
-from motes.core.record import record, replace, static
-from motes.filters.interface import Filter, Guide, Info, guided, surprised, unguided
+from motes.core import checks
+from motes.core.record import record, static
+from motes.filters.interface import Guide, Info, surprised
+from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_surprise
 from motes.filters.needs import as_particle_model
+from motes.filters.proposals import Proposal, as_proposal
 from motes.filters.sharp import ask_noise, conditions_exactly, first_weighed
+from motes.gaussian.rule import has_moments
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
-from motes.models import linearize
-from motes.models.proposals import Proposal, as_proposal
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import ESS, Policy, resample
 from motes.resampling.schemes import Scheme, Systematic
 
 
 @record
-class AuxiliaryParticleFilter(Filter):
+class AuxiliaryParticleFilter(LookAheadFilter):
     """Auxiliary particle filter; its state is a `Cloud`.
 
     With `OptimalProposal` it is fully adapted: where particles were resampled all weights are equal, and the evidence given the cloud is
@@ -52,7 +53,6 @@ class AuxiliaryParticleFilter(Filter):
     proposal: Proposal | Conditional | None = None
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
-    look_ahead: ClassVar[bool] = True
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -74,7 +74,7 @@ class AuxiliaryParticleFilter(Filter):
             MotesError: one is missing.
         """
         model = as_particle_model("AuxiliaryParticleFilter", model, transition_density=isinstance(self.proposal, Conditional))
-        if not linearize.has_moments(model.dynamics):
+        if not has_moments(model.dynamics):
             checks.refuse("AuxiliaryParticleFilter dynamics", "a mean function (particles are scored at it)", type(model.dynamics).__name__,
                           "Use a ParticleFilter.")
         self._moves.check("AuxiliaryParticleFilter", model, u)
@@ -97,22 +97,14 @@ class AuxiliaryParticleFilter(Filter):
         after, info = first_weighed(key, self._moves, model, state, y, u, t)
         return self.settle(state, after, info, y)
 
-    def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Go to the next time t and take in its measurement."""
-        resample_key, noise_key = (random.child(random.child(key, random.PREDICT), purpose) for purpose in (random.RESAMPLE, random.NOISE))
+    def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
+        """Resample by the scores where needed, then move by the proposal."""
+        resample_key, noise_key = keys_of(key)
         score = _told(self._moves.score(model, state.particles, y, u, t))
         parents = resample(resample_key, self.scheme, self.policy, state, score)
         after, info = guided(noise_key, self._moves, model, parents, y, u, t)
-        info = surprised(info, unguided(noise_key, model, state, y, u, t))
-
-        def blind() -> Cloud:
-            cloud = resample(resample_key, self.scheme, self.policy, state)
-            moved = replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
-            return moved.gathered(model.circular)
-
-        # particles that were picked by a measurement that is not used are no sample of what was known before
-        refused = info.collapsed | jnp.all(jnp.isnan(y))
-        return self.settle(jax.lax.cond(refused, blind, lambda: after), after, info, y)
+        info = surprised(info, unguided_surprise(noise_key, model, state, y, u, t))
+        return Ahead(after, info, lambda: unguided(noise_key, model, resample(resample_key, self.scheme, self.policy, state), u, t))
 
 
 def _told(score: jax.Array) -> jax.Array:

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Filter, Guide, Info, weigh
+from motes.filters.interface import Guide, Info, weigh
+from motes.filters.look_ahead import Ahead, LookAheadFilter
 from motes.filters.needs import as_moment_model
 from motes.laws.conditional import matrix_over, over_particles
 from motes.laws.cost_cloud import CostCloud
@@ -26,7 +27,7 @@ SETTLING = 10
 
 
 @record
-class CostReferenceParticleFilter(Filter):
+class CostReferenceParticleFilter(LookAheadFilter):
     """Cost-reference particle filter; its state is a `CostCloud`. It has no likelihood.
 
     Of the model it uses the mean functions, and `initial` to draw the first particles: no densities. Components of y are summed as they
@@ -59,7 +60,6 @@ class CostReferenceParticleFilter(Filter):
     selection: str = static(default="global")
     estimate: str = static(default="mean")
     scheme: Scheme = Systematic()
-    look_ahead = True
     has_evidence = False
 
     def check_knobs(self) -> None:
@@ -126,7 +126,7 @@ class CostReferenceParticleFilter(Filter):
             return jnp.take_along_axis(around, jnp.argmin(risks[around], axis=0)[None], axis=0)[0]
         return self.scheme.ancestors(key, logspace.normalize(self.phi.log_mass(risks, least))[0], self.n)
 
-    def step(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
+    def ahead(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> Ahead:
         """Select by risk, go to the next time t, and charge the particles for y."""
         ahead = over_particles(model.dynamics.mean, state.particles, u, t)
         risks, least = self._charged(model, state, ahead, y, u, t)
@@ -141,8 +141,8 @@ class CostReferenceParticleFilter(Filter):
             return replace(cloud, particles=centers + self._scales(model, cloud.particles, u, t) * walk, spread=spread)
 
         after, info = self._taken_in(model, moved(state.chosen(ancestors), ahead[:, ancestors]), y, u, t)
-        blind = replace(state, ancestors=jnp.arange(self.n, dtype=jnp.int32))
-        return self.settle(moved(blind, ahead).gathered(model.circular), after, info, y)
+        unselected = replace(state, ancestors=jnp.arange(self.n, dtype=jnp.int32))
+        return Ahead(after, info, lambda: moved(unselected, ahead).gathered(model.circular))
 
     def _scales(self, model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Standard deviations of the steps, `(x, n)` or what broadcasts to it."""

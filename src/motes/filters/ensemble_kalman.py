@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random, sums
 from motes.core.record import record, replace, static
+from motes.filters.gated import Gated
 from motes.filters.interface import Guide, Info, TwoStageFilter, single
 from motes.filters.needs import as_moment_model
 from motes.laws.cloud import Cloud
@@ -23,7 +24,7 @@ from motes.models.state_space import StateSpaceModel
 
 
 @record
-class EnsembleKalmanFilter(TwoStageFilter):
+class EnsembleKalmanFilter(Gated, TwoStageFilter):
     """Ensemble Kalman filter; its state is a `Cloud` of members of equal weight.
 
     Attributes:
@@ -31,8 +32,6 @@ class EnsembleKalmanFilter(TwoStageFilter):
         form: "deterministic" (square root) or "stochastic" (perturbed measurements).
         inflation: factor on the deviations of members from their mean after each prediction; a little above 1 makes up for the
             covariance that few members miss.
-        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
-            and counts in `info.gated`. None for no gate.
     """
 
     weighs = False
@@ -46,7 +45,6 @@ class EnsembleKalmanFilter(TwoStageFilter):
     n: int = static()
     form: str = static(default="deterministic")
     inflation: float = 1.0
-    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.

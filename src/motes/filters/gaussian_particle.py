@@ -13,7 +13,9 @@ import jax.numpy as jnp
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
+from motes.filters.gated import Gated
 from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
+from motes.filters.look_ahead import Ahead, LookAheadFilter
 from motes.filters.needs import as_particle_model
 from motes.filters.sharp import ask_noise
 from motes.laws.circular import gathered
@@ -23,15 +25,13 @@ from motes.models.state_space import StateSpaceModel
 
 
 @record
-class GaussianParticleFilter(TwoStageFilter):
+class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
     """Gaussian particle filter; its state is a `Gaussian`. It converges to the true posterior only where that is Gaussian.
 
     Attributes:
         n: number of particles.
         redraw: weigh new draws from the predicted Gaussian (the general form); otherwise the moved particles themselves, which spares
             half of the draws and keeps the shape of the prediction (paper 004, steps 1 to 5), but moves only when y is known.
-        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
-            and counts in `info.gated`. None for no gate.
     """
 
     starves = True
@@ -43,7 +43,6 @@ class GaussianParticleFilter(TwoStageFilter):
 
     n: int = static()
     redraw: bool = static(default=True)
-    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -101,13 +100,11 @@ class GaussianParticleFilter(TwoStageFilter):
         """Draw particles, weigh them by the likelihood of y, keep their moments."""
         return self._weighed(key, model, state.sample(key, self.n), y, u, t)
 
-    def step(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
-        """Go to the next time t and take in its measurement."""
-        if self.redraw:
-            return TwoStageFilter.step(self, key, model, state, y, u, t)
+    def ahead(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> Ahead:
+        """Draw particles, move them and weigh them themselves."""
         X = self._moved(random.child(key, random.PREDICT), model, state, u, t)
         after, info = self._weighed(random.child(key, random.UPDATE), model, X, y, u, t)
-        return self.settle(self._unweighed(model, X), after, info, y)
+        return Ahead(after, info, lambda: self._unweighed(model, X))
 
 
 def _fitted(model: StateSpaceModel, log_weights: jax.Array, X: jax.Array) -> Gaussian:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
+from motes.filters.gated import Gated
 from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
 from motes.filters.needs import as_particle_model
 from motes.filters.sharp import ask_noise
@@ -32,7 +33,7 @@ NOISE_OF = {"II": "dynamics", "III": "sensor"}
 
 
 @record
-class GaussianSumParticleFilter(TwoStageFilter):
+class GaussianSumParticleFilter(Gated, TwoStageFilter):
     """Gaussian-sum particle filter; its state is a `Mixture`, and `info.ess` counts mixands.
 
     Attributes:
@@ -42,8 +43,6 @@ class GaussianSumParticleFilter(TwoStageFilter):
         reduction: how forms II and III go back to `mixands`: "resample" (unbiased) or "prune" (the heaviest stay, with their weights).
         scheme: how mixands are drawn.
         policy: when mixands are resampled that are not too many.
-        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
-            and counts in `info.gated`. None for no gate.
     """
 
     guide = Guide(
@@ -58,7 +57,6 @@ class GaussianSumParticleFilter(TwoStageFilter):
     reduction: str = static(default="resample")
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
-    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.

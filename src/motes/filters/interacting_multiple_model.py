@@ -15,24 +15,27 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import linalg
-from motes.core.record import record, replace, static
+from motes.core.record import record, replace
+from motes.filters.gated import Gated
 from motes.filters.interface import Guide, Info, TwoStageFilter, weigh_modes
 from motes.filters.needs import as_jump_markov
+from motes.gaussian.modes import initial_gaussians, predicted
+from motes.gaussian.rule import Rule, check_rule
+from motes.gaussian.taylor import Taylor
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import moments_each
 from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import log_chances
-from motes.models import linearize
-from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_parts
+from motes.models.jump_markov import JumpMarkovModel
 
 
 @record
-class InteractingMultipleModel(TwoStageFilter):
+class InteractingMultipleModel(Gated, TwoStageFilter):
     """Interacting multiple models; the state is a `ModeMixture` of one Gaussian for each mode, and `info.ess` counts modes.
 
     Attributes:
-        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
-            and counts in `info.gated`. None for no gate.
+        rule: how moments are taken through the functions of each mode: `mo.gaussian.Taylor(iterations)`, or sigma points such as
+            `mo.gaussian.Cubature()`.
     """
 
     subtracts = True
@@ -42,7 +45,15 @@ class InteractingMultipleModel(TwoStageFilter):
         use="a model that switches between a few modes, each mildly nonlinear",
     )
 
-    gate: float | None = static(default=None, kw_only=True)
+    rule: Rule = Taylor()
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: the rule is none, or has a parameter that it cannot have.
+        """
+        check_rule("InteractingMultipleModel", self.rule)
 
     def prepare(self, model: Any, u: Any) -> JumpMarkovModel:
         """Ask for means and covariances of dynamics and sensor of every mode.
@@ -50,7 +61,9 @@ class InteractingMultipleModel(TwoStageFilter):
         Raises:
             MotesError: one of them has none, or the value is no model.
         """
-        return as_jump_markov("InteractingMultipleModel", model)
+        model = as_jump_markov("InteractingMultipleModel", model)
+        self.rule.check_size("InteractingMultipleModel", model.size)
+        return model
 
     def init(self, key: jax.Array, model: JumpMarkovModel) -> ModeMixture:
         """Return the Gaussians with the moments of the initial laws."""
@@ -67,12 +80,11 @@ class InteractingMultipleModel(TwoStageFilter):
         counted = jnp.where(jnp.isfinite(state.log_weights), state.parts.covariance, 0)
         within = jnp.einsum("abi,ij->abj", counted, jnp.exp(shares), precision=jax.lax.Precision.HIGHEST)
         center, cov = between.center, linalg.symmetric(between.covariance + within)
-        moved = [linearize.moved_each(part.dynamics, Gaussian(center[:, j, None], cov[..., j, None]), u, t, None)
-                 for j, part in enumerate(model.models)]  # fmt: skip
-        return replace(state, parts=joined_parts(moved), log_weights=log_weights)
+        mixed = [Gaussian(center[:, j, None], cov[..., j, None]) for j in range(model.count)]
+        return replace(state, parts=predicted(self.rule, model, mixed, u, t), log_weights=log_weights)
 
     def correct(
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
     ) -> tuple[ModeMixture, Info]:
         """Condition each mode's Gaussian on y, and weigh the modes."""
-        return weigh_modes(model, state, y, u, t)
+        return weigh_modes(self.rule, model, state, y, u, t)

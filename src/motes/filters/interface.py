@@ -12,13 +12,14 @@ from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.alarm import Surprise
 from motes.filters.needs import as_state_space
+from motes.gaussian.modes import expected, measured
+from motes.gaussian.rule import Rule
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.laws.gaussian import Correction
 from motes.laws.mode_mixture import ModeMixture
-from motes.models.jump_markov import JumpMarkovModel, measured, predicted
-from motes.models.proposals import Proposal
-from motes.models.state_space import StateSpaceModel, circular
+from motes.models.jump_markov import JumpMarkovModel
+from motes.models.state_space import circular
 from motes.native import cloudwise
 from motes.resampling import gradients
 from motes.resampling.policy import Policy, resample
@@ -149,29 +150,12 @@ def by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: jax.Arra
     return after, surprised(info, alarm.of_cloud(key, sensor, cloud.particles[:, some], cloud.log_weights[some], y, u, t))
 
 
-def guided(
-    key: jax.Array, proposal: Proposal, model: StateSpaceModel, parents: Cloud, y: jax.Array, u: Any, t: Any
-) -> tuple[Cloud, Info]:
-    """Move particles by a proposal that knows the measurement, and weigh them."""
-    cloudwise.left_to_jax("move", parents, "particles are moved by a proposal")
-    moved, log_weight, ceiling = proposal.proposed(key, model, parents.particles, y, u, t)
-    weights, info = weigh(parents.log_weights, log_weight, ceiling)
-    return replace(parents, particles=moved, log_weights=weights), info
-
-
-def unguided(key: jax.Array, model: StateSpaceModel, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> Surprise:
-    """Surprise of y given some particles of the step before, moved as if it were not known."""
-    some = alarm.some_of(cloud.log_weights.shape[0])
-    X = model.dynamics.sample(random.child(key, random.NOISE), cloud.particles[:, some], u, t)
-    return alarm.of_cloud(key, model.sensor, X, cloud.log_weights[some], y, u, t)
-
-
-def weigh_modes(model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:
+def weigh_modes(rule: Rule, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:
     """Correct the Gaussian of each component by the sensor of its mode, and weigh it by its predictive density of y."""
-    done = measured(model, state, y, u, t)
+    done = measured(rule, model, state, y, u, t)
     weights, info = weigh(state.log_weights, done.log_evidence, done.peak)
     few, log_weights = alarm.few_of(state.log_weights.reshape(model.count, -1))
-    told = predicted(model, state, few, u, t)
+    told = expected(rule, model, state, few, u, t)
     found = alarm.of_mixture(model.models[0].sensor.angles, told.center, told.covariance, log_weights.reshape(-1), y, drawn=False)
     return replace(state, parts=done.law, log_weights=weights), surprised(info, found)
 

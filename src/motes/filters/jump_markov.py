@@ -18,28 +18,31 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, static
+from motes.filters.gated import Gated
 from motes.filters.interface import Guide, Info, TwoStageFilter, weigh_modes
 from motes.filters.needs import as_jump_markov
+from motes.gaussian.modes import initial_gaussians, predicted
+from motes.gaussian.rule import Rule, check_rule
+from motes.gaussian.taylor import Taylor
 from motes.laws.gaussian import Gaussian
 from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import log_chances
-from motes.models import linearize
-from motes.models.jump_markov import JumpMarkovModel, initial_gaussians, joined_parts
+from motes.models.jump_markov import JumpMarkovModel
 from motes.resampling import gradients
 from motes.resampling.reduction import Reduction, reduced
 from motes.resampling.schemes import Systematic
 
 
 @record
-class JumpMarkovFilter(TwoStageFilter):
+class JumpMarkovFilter(Gated, TwoStageFilter):
     """Rao-Blackwellized jump-Markov filter; the state is a `ModeMixture` of n m hypotheses, which `info.ess` counts.
 
     Attributes:
         n: number of particles that are kept from step to step.
         sampled: states that particles draw, by name or index: those in which dynamics or sensors are too curved for an extended Kalman
             filter. Given them, linear models are exact.
-        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
-            and counts in `info.gated`. None for no gate.
+        rule: how moments are taken through the functions of each mode: `mo.gaussian.Taylor(iterations)`, or sigma points such as
+            `mo.gaussian.Cubature()`.
     """
 
     subtracts = True
@@ -51,15 +54,16 @@ class JumpMarkovFilter(TwoStageFilter):
 
     n: int = static()
     sampled: tuple[str | int, ...] = static(default=())
-    gate: float | None = static(default=None, kw_only=True)
+    rule: Rule = Taylor()
 
     def check_knobs(self) -> None:
         """Check the knobs.
 
         Raises:
-            MotesError: n is not a positive whole number.
+            MotesError: n is not a positive whole number, or the rule is none or has a parameter that it cannot have.
         """
         checks.positive_integer("JumpMarkovFilter n", self.n)
+        check_rule("JumpMarkovFilter", self.rule)
         object.__setattr__(self, "sampled", (self.sampled,) if isinstance(self.sampled, (str, int)) else tuple(self.sampled))
 
     def prepare(self, model: Any, u: Any) -> JumpMarkovModel:
@@ -69,6 +73,7 @@ class JumpMarkovFilter(TwoStageFilter):
             MotesError: one of them has none, there is no such state, or the value is no model.
         """
         model = as_jump_markov("JumpMarkovFilter", model)
+        self.rule.check_size("JumpMarkovFilter", model.size)
         self._drawn_states(model)
         return model
 
@@ -107,11 +112,11 @@ class JumpMarkovFilter(TwoStageFilter):
         ancestors, log_weights = self._kept(random.child(key, random.RESAMPLE), state.log_weights)
         kept, log_weights = gradients.noticed((state.picked(ancestors), log_weights))
         chances = model.log_transition(u, t)[kept.modes].T
-        moved = joined_parts([linearize.moved_each(part.dynamics, kept.parts, u, t, None) for part in model.models])
+        moved = predicted(self.rule, model, [kept.parts] * model.count, u, t)
         return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + chances)
 
     def correct(
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
     ) -> tuple[ModeMixture, Info]:
         """Weigh each hypothesis by its predictive density of y, and correct its Gaussian."""
-        return weigh_modes(model, state, y, u, t)
+        return weigh_modes(self.rule, model, state, y, u, t)

@@ -18,13 +18,16 @@ from motes.core import checks, linalg, random
 from motes.core.logspace import uniform_weights
 from motes.core.record import record, replace, static
 from motes.filters import alarm
+from motes.filters.gated import Gated
 from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh, surprised
 from motes.filters.needs import as_state_space
+from motes.gaussian.rule import Linearized
+from motes.gaussian.sigma_points import regressed_on, through_on, unscaled
+from motes.gaussian.taylor import Taylor, affine, slope_in
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.laws.density import measured_in
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
-from motes.models import linearize
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
 from motes.models.structure import largest, trace, varying
@@ -59,7 +62,7 @@ class LocalModel:
 
 
 @record
-class KalmanParticleKernelFilter(TwoStageFilter):
+class KalmanParticleKernelFilter(Gated, TwoStageFilter):
     """Kalman-particle kernel filter; its state is a `Mixture` of n Gaussians with a covariance each.
 
     Attributes:
@@ -75,8 +78,6 @@ class KalmanParticleKernelFilter(TwoStageFilter):
             slope leaves unexplained is added to R; "jacobian": its slope at the center, which is faster.
         scheme: how kernels are selected.
         policy: when a resampling selects; otherwise it splits and keeps the weights.
-        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
-            and counts in `info.gated`. None for no gate.
     """
 
     subtracts = True
@@ -95,7 +96,6 @@ class KalmanParticleKernelFilter(TwoStageFilter):
     slope: str = static(default="sigma")
     scheme: Scheme = Systematic()
     policy: Policy = Entropy(0.5)
-    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.
@@ -161,12 +161,14 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
         example = state.parts.center[:, 0]
         bends = not model.steady and bool(model.nonlinear)
-        shared = _once(t, lambda: linearize.affine(model.dynamics, example, u, t)[1:]) if model.steady else None
+        shared = _once(t, lambda: affine(model.dynamics, example, u, t)[1:]) if model.steady else None
 
         def move(noise_key: jax.Array, law: Mixture) -> Mixture:
             if bends:
-                return replace(law, parts=linearize.moved_over(model.dynamics, model.nonlinear, law.parts, u, t))
-            return replace(law, parts=linearize.moved_each(model.dynamics, law.parts, u, t, shared))
+                return replace(law, parts=through_on(model.dynamics, model.nonlinear, law.parts, u, t))
+            if shared is None:
+                return replace(law, parts=Taylor().through(model.dynamics, law.parts, u, t))
+            return replace(law, parts=Linearized(model.dynamics.means(law.parts.center, u, t), *shared).over(law.parts))
 
         def resampled(law: Mixture) -> Mixture:
             return evolve(keys, self.scheme, self.policy, law, self.kernels.fitted(law, model.nonlinear))
@@ -179,30 +181,27 @@ class KalmanParticleKernelFilter(TwoStageFilter):
         """Correct each kernel by y, and weigh it by its predictive density of y."""
         sensor = model.sensor
         example = state.parts.center[:, 0]
-        shared = _once(t, lambda: linearize.slope_in(sensor, model.linear, example, u, t)) if model.plane else None
-
-        def slopes(states: tuple[int, ...], X: jax.Array) -> jax.Array:
-            return jax.vmap(lambda x: linearize.slope_in(sensor, states, x, u, t), in_axes=-1, out_axes=-1)(X)
+        shared = _once(t, lambda: slope_in(sensor, model.linear, example, u, t)) if model.plane else None
 
         def judge(law: Mixture) -> tuple[Mixture, jax.Array, jax.Array]:
             X, R = law.parts.center, matrix_over(sensor.Q, law.parts.center, u, t)
             if self.slope == "sigma":
                 cov = law.parts.covariance
                 factor = linalg.cholesky(linalg.take(linalg.take(cov, model.nonlinear), model.nonlinear, axis=1))
-                prediction, tilt, unexplained = linearize.regressed(sensor, model.nonlinear, X, factor, u, t)
-                curved, R = linearize.untilted(tilt, factor), linalg.add(unexplained, R)
+                prediction, scaled_slope, unexplained = regressed_on(sensor, model.nonlinear, X, factor, u, t)
+                curved, R = unscaled(scaled_slope, factor), linalg.add(unexplained, R)
             else:
-                prediction, curved = sensor.means(X, u, t), slopes(model.nonlinear, X)
-            straight = slopes(model.linear, X) if shared is None else shared
+                prediction, curved = sensor.means(X, u, t), slope_in(sensor, model.nonlinear, X, u, t)
+            straight = slope_in(sensor, model.linear, X, u, t) if shared is None else shared
             parts = ((model.nonlinear, curved), (model.linear, straight))
             done = law.parts.corrected_in_turn(sensor.residual(y, prediction), parts, R, measured_in(y, R))
             return replace(law, parts=done.law), done.log_evidence, done.peak
 
         after, info = reweigh(state, judge)
         some = alarm.some_of(self.n)
-        prediction, slope, noise = linearize.affine_each(sensor, state.parts.center[:, some], u, t)
-        covs = linalg.add(linalg.sandwich(slope, state.parts.covariance[..., some]), noise)
-        return after, surprised(info, alarm.of_mixture(sensor.angles, prediction, covs, state.log_weights[some], y))
+        few = Gaussian(state.parts.center[:, some], state.parts.covariance[..., some])
+        told = Taylor().through(sensor, few, u, t)
+        return after, surprised(info, alarm.of_mixture(sensor.angles, told.center, told.covariance, state.log_weights[some], y))
 
 
 def _once(t: Any, work: Callable[[], Any]) -> Any:

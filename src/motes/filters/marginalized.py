@@ -20,6 +20,7 @@ from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.alarm import Surprise
+from motes.filters.gated import Gated
 from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh, surprised
 from motes.filters.sharp import ask_noise
 from motes.laws.circular import near, wrap
@@ -34,7 +35,7 @@ from motes.resampling.schemes import Scheme, Systematic
 
 
 @record
-class MarginalizedParticleFilter(TwoStageFilter):
+class MarginalizedParticleFilter(Gated, TwoStageFilter):
     """Marginalized particle filter; its state is a `MarginalCloud`. `RaoBlackwellizedParticleFilter` is the same.
 
     Attributes:
@@ -43,8 +44,6 @@ class MarginalizedParticleFilter(TwoStageFilter):
         scheme: how ancestors are drawn.
         policy: when to resample, at the start of a step.
         regularization: kernel that smooths the particle part of what was resampled (see `RegularizedParticleFilter`); None for none.
-        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
-            and counts in `info.gated`. None for no gate.
     """
 
     subtracts = True
@@ -60,7 +59,6 @@ class MarginalizedParticleFilter(TwoStageFilter):
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
     regularization: Regularization | None = None
-    gate: float | None = static(default=None, kw_only=True)
 
     def check_knobs(self) -> None:
         """Check the knobs.

@@ -3,8 +3,8 @@
 from typing import Any
 
 from motes.core import checks
+from motes.gaussian.rule import has_moments
 from motes.laws.conditional import Conditional, Custom
-from motes.models import linearize
 from motes.models.jump_markov import JumpMarkovModel
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
@@ -100,7 +100,7 @@ def as_jump_markov(asked_by: str, model: Any) -> JumpMarkovModel:
 def _check_moments(asked_by: str, model: StateSpaceModel) -> None:
     for name in ("dynamics", "sensor"):
         part = getattr(model, name)
-        if not linearize.has_moments(part):
+        if not has_moments(part):
             hint = "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter."
             given = type(part).__name__ + (" with a law of sample and log_prob alone" if hasattr(part, "law") else "")
             checks.refuse(f"{asked_by} {name}", "a mean function and a noise covariance", given, hint)

@@ -19,9 +19,9 @@ from motes.filters.history import Carry, History
 from motes.filters.interface import single
 from motes.filters.needs import as_linear_model
 from motes.filters.run import checked_data
+from motes.gaussian.taylor import Linear, affine
 from motes.laws.density import among, measured_in, zeroed
 from motes.laws.gaussian import Gaussian
-from motes.models import linearize
 from motes.models.canonical import canonical, one_of
 from motes.models.state_space import StateSpaceModel, at_step, driven
 from motes.tracing.compiling import jitted
@@ -69,7 +69,7 @@ def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[His
         checks.refuse("run_in_parallel sensor", "no angles (they are wrapped about a prediction, which is not there yet)",
                       list(model.sensor.angles), "Use run with KalmanFilter.")
     t = jnp.arange(ys.shape[0], dtype=jnp.int32)
-    first = linearize.measured(model.sensor, Gaussian(model.initial.mean(), model.initial.cov()), ys[0], at_step(told, 0), t[0])
+    first = Linear().measured(model.sensor, Gaussian(model.initial.mean(), model.initial.cov()), ys[0], at_step(told, 0), t[0])
     nothing = jnp.zeros_like(first.law.covariance)
     opening = _Element(nothing, first.law.center, first.law.covariance, jnp.zeros_like(first.law.center), nothing)
     others, exact = jax.vmap(lambda y, u, t: _element(model, y, u, t))(*jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
@@ -77,7 +77,7 @@ def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[His
     together = jax.lax.associative_scan(jax.vmap(_combined), elements)
 
     def judged(b: jax.Array, C: jax.Array, y: jax.Array, u: Any, t: jax.Array) -> Any:
-        return linearize.measured(model.sensor, linearize.moved(model.dynamics, Gaussian(b, C), u, t), y, u, t)
+        return Linear().measured(model.sensor, Linear().through(model.dynamics, Gaussian(b, C), u, t), y, u, t)
 
     later = jax.vmap(judged)(together.b[:-1], together.C[:-1], *jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
     done = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, later)
@@ -98,8 +98,8 @@ def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tupl
     Also tell whether the measurement says something of x' without any noise, which no element can hold.
     """
     nowhere = jnp.zeros((model.size,), y.dtype)
-    c, F, Q = linearize.affine(model.dynamics, nowhere, u, t)
-    d, H, R = linearize.affine(model.sensor, nowhere, u, t)
+    c, F, Q = affine(model.dynamics, nowhere, u, t)
+    d, H, R = affine(model.sensor, nowhere, u, t)
     seen = measured_in(y, R)
     surprise = zeroed(model.sensor.residual(y, d + H @ c), seen)
     H, R = zeroed(H, seen, 2), among(R, seen)

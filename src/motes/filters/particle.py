@@ -11,19 +11,20 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, guided, surprised, unguided
+from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, surprised
+from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_surprise
 from motes.filters.needs import as_particle_model
+from motes.filters.proposals import Proposal, as_proposal
 from motes.filters.sharp import ask_noise, conditions_exactly, first_weighed
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
-from motes.models.proposals import Proposal, as_proposal
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import ESS, Policy, resample
 from motes.resampling.schemes import Scheme, Systematic
 
 
 @record
-class ParticleFilter(TwoStageFilter):
+class ParticleFilter(LookAheadFilter, TwoStageFilter):
     """Particle filter; its state is a `Cloud`.
 
     Attributes:
@@ -99,14 +100,10 @@ class ParticleFilter(TwoStageFilter):
         """Weigh the particles by the likelihood of y."""
         return first_weighed(key, self._moves, model, state, y, u, t)
 
-    def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Go to the next time t and take in its measurement."""
-        if self.proposal is None:
-            return TwoStageFilter.step(self, key, model, state, y, u, t)
-        predict_key = random.child(key, random.PREDICT)
-        cloud = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
-        noise_key = random.child(predict_key, random.NOISE)
-        after, info = guided(noise_key, self._moves, model, cloud, y, u, t)
-        info = surprised(info, unguided(noise_key, model, cloud, y, u, t))
-        blind = replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
-        return self.settle(blind.gathered(model.circular), after, info, y)
+    def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
+        """Resample where needed, then move by the proposal."""
+        resample_key, noise_key = keys_of(key)
+        parents = resample(resample_key, self.scheme, self.policy, state)
+        after, info = guided(noise_key, self._moves, model, parents, y, u, t)
+        info = surprised(info, unguided_surprise(noise_key, model, parents, y, u, t))
+        return Ahead(after, info, lambda: unguided(noise_key, model, parents, u, t))

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import linalg
+from motes.gaussian.rule import has_moments
+from motes.gaussian.taylor import affine
 from motes.laws.law import Foreign
-from motes.models import linearize
 from motes.models.jump_markov import modes_of
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel
@@ -30,13 +31,13 @@ def rounding(model: Any, ys: jax.Array, u: Any) -> jax.Array:
         u: inputs of the first step.
     """
     models = [part.joined() if isinstance(part, MixedLinearModel) else part for part in modes_of(model)]
-    found = [_of_one(part, ys, u) for part in models if linearize.has_moments(part.sensor) and not isinstance(part.initial, Foreign)]
+    found = [_of_one(part, ys, u) for part in models if has_moments(part.sensor) and not isinstance(part.initial, Foreign)]
     return jnp.max(jnp.stack(found), axis=0) if found else jnp.zeros((2, ys.shape[1]), ys.dtype)
 
 
 def _of_one(model: StateSpaceModel, ys: jax.Array, u: Any) -> jax.Array:
     center, cov = model.initial.mean(), model.initial.cov()
-    _, slope, noise = linearize.affine(model.sensor, center, u, jnp.int32(0))
+    _, slope, noise = affine(model.sensor, center, u, jnp.int32(0))
     variance = jnp.diagonal(noise)
     # a power mean that one wild measurement hardly moves
     seen = ~jnp.isnan(ys)

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
 from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve
+from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of, unguided
 from motes.filters.needs import as_particle_model
 from motes.filters.sharp import ask_noise
 from motes.laws.cloud import Cloud
@@ -29,7 +30,7 @@ from motes.resampling.schemes import Scheme, Systematic
 
 
 @record
-class RegularizedParticleFilter(TwoStageFilter):
+class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
     """Regularized particle filter; its state is a `Cloud`.
 
     Attributes:
@@ -111,18 +112,15 @@ class RegularizedParticleFilter(TwoStageFilter):
         """Weigh the particles by the likelihood of y."""
         return by_likelihood(key, model.sensor, state, y, u, t)
 
-    def step(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Go to the next time t and take in its measurement."""
-        if not self.look_ahead:
-            return TwoStageFilter.step(self, key, model, state, y, u, t)
-        predict_key = random.child(key, random.PREDICT)
+    def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
+        """Resample where needed, move by the dynamics, weigh, and let the kernel propose."""
+        resample_key, noise_key = keys_of(key)
         needed = self.policy.needed(state.log_weights)
         # its covariance is that of the past: proposals that knew the particles they move would not be symmetric
         smooth = self.regularization.fitted(state.log_weights, state.particles, needed)
-        parents = resample(random.child(predict_key, random.RESAMPLE), self.scheme, self.policy, state)
-        noise_key = random.child(predict_key, random.NOISE)
+        parents = resample(resample_key, self.scheme, self.policy, state)
         cloudwise.left_to_jax("move", parents, "a Metropolis step takes particles back")
-        blind = replace(parents, particles=model.dynamics.sample(noise_key, parents.particles, u, t)).gathered(model.circular)
+        blind = unguided(noise_key, model, parents, u, t)
         after, info = self.correct(key, model, blind, y, u, t)
 
         def log_target(X: jax.Array) -> jax.Array:
@@ -132,7 +130,7 @@ class RegularizedParticleFilter(TwoStageFilter):
         chance = random.uniform(random.child(key, random.UPDATE), (self.n,), proposed.dtype)
         accepted = jnp.log(1 - chance) < log_target(proposed) - log_target(blind.particles)
         accepted &= _filled(model, parents.particles, u, t)
-        return self.settle(blind, replace(after, particles=jnp.where(accepted, proposed, blind.particles)), info, y)
+        return Ahead(replace(after, particles=jnp.where(accepted, proposed, blind.particles)), info, lambda: blind)
 
 
 def _filled(model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array | bool:

@@ -9,7 +9,9 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.record import replace
-from motes.filters.interface import Info, by_likelihood, guided
+from motes.filters.interface import Info, by_likelihood
+from motes.filters.look_ahead import guided
+from motes.filters.proposals import OptimalProposal, Proposal
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional
 from motes.laws.density import noiseless
@@ -17,7 +19,6 @@ from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
 from motes.laws.switching import SwitchingSensor
 from motes.models.jump_markov import modes_of
-from motes.models.proposals import OptimalProposal, Proposal
 from motes.models.state_space import StateSpaceModel
 
 CURE = ("Give it a little noise, or use a proposal (OptimalProposal) or a filter that conditions on it exactly (KalmanFilter, or "

@@ -9,23 +9,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core.record import record, static
+from motes.core.record import record
+from motes.filters.gated import Gated
 from motes.filters.interface import Guide, Info, TwoStageFilter, single
 from motes.filters.needs import as_linear_model
+from motes.gaussian.taylor import affine
 from motes.laws.density import measured_in
 from motes.laws.factored import FactoredGaussian
-from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 
 
 @record
-class SquareRootKalmanFilter(TwoStageFilter):
-    """Square-root Kalman filter; its state is a `FactoredGaussian`.
-
-    Attributes:
-        gate: share of measurements that lie inside the gate where the filter's claims are right, such as 0.9999; one outside is not used,
-            and counts in `info.gated`. None for no gate.
-    """
+class SquareRootKalmanFilter(Gated, TwoStageFilter):
+    """Square-root Kalman filter; its state is a `FactoredGaussian`."""
 
     weighs = False
     guide = Guide(
@@ -33,8 +29,6 @@ class SquareRootKalmanFilter(TwoStageFilter):
         cost="x^3, a few times what KalmanFilter takes",
         use="the model is linear and badly scaled, in float32",
     )
-
-    gate: float | None = static(default=None, kw_only=True)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
         """Ask for a model that is linear in every state, with Gaussian noises and initial law.
@@ -50,13 +44,13 @@ class SquareRootKalmanFilter(TwoStageFilter):
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: FactoredGaussian, u: Any, t: Any) -> FactoredGaussian:
         """Move mean and factor to time t."""
-        return state.moved(*linearize.affine(model.dynamics, state.center, u, t))
+        return state.moved(*affine(model.dynamics, state.center, u, t))
 
     def correct(
         self, key: jax.Array, model: StateSpaceModel, state: FactoredGaussian, y: jax.Array, u: Any, t: Any
     ) -> tuple[FactoredGaussian, Info]:
         """Condition on y."""
-        prediction, slope, noise = linearize.affine(model.sensor, state.center, u, t)
+        prediction, slope, noise = affine(model.sensor, state.center, u, t)
         seen = measured_in(y, noise)
         done = state.corrected(model.sensor.residual(y, prediction), slope, noise, seen)
         return done.law, single(done._replace(count=jnp.sum(seen)))

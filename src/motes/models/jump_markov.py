@@ -13,13 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, linalg
+from motes.core import checks
 from motes.core.record import record, static
 from motes.core.types import Inputs
-from motes.laws.gaussian import Correction, Gaussian
-from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import SwitchingDynamics, SwitchingLaw, SwitchingSensor, log_chances, transition_matrix
-from motes.models import linearize
 from motes.models.state_space import StateSpaceModel, index_of, measurement_size
 
 MODE = "mode"
@@ -139,57 +136,6 @@ def _checked(name: str, value: Any, shape: tuple[int, ...], dtype: jnp.dtype) ->
             wanted = "probabilities that sum to one" + (" in each row" if len(shape) > 1 else "")
             checks.refuse(argument, wanted, rows.round(6).tolist())
     return array.astype(dtype)
-
-
-def initial_gaussians(model: JumpMarkovModel) -> Gaussian:
-    """Return the m Gaussians with the moments of the initial laws of the modes."""
-    laws = [part.initial for part in model.models]
-    return Gaussian(jnp.stack([law.mean() for law in laws], axis=-1), jnp.stack([law.cov() for law in laws], axis=-1))
-
-
-def joined_parts(blocks: list[Gaussian]) -> Gaussian:
-    """Put batches of Gaussians one behind the other."""
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=-1), *blocks)
-
-
-def measured(model: JumpMarkovModel, law: ModeMixture, y: jax.Array, u: Any, t: Any) -> Correction:
-    """Condition each component on a measurement `(y,)` through the sensor of its mode, as `linearize.measured_each` does.
-
-    Args:
-        model: the system.
-        law: its components come in m blocks of equal length, one for each mode in order.
-        y: the measurement; NaN means not measured.
-        u: inputs of the step.
-        t: the time.
-
-    Returns:
-        The correction; components without weight have the highest peak there is, so that a good fit of theirs hides no collapse.
-    """
-    centers = jnp.split(law.parts.center, model.count, axis=-1)
-    covs = jnp.split(law.parts.covariance, model.count, axis=-1)
-    done = [linearize.measured_each(part.sensor, Gaussian(*block), y, u, t)
-            for part, *block in zip(model.models, centers, covs, strict=True)]  # fmt: skip
-    evidence, peak = (jnp.concatenate([getattr(one, name) for one in done]) for name in ("log_evidence", "peak"))
-    peak = jnp.where(jnp.isfinite(law.log_weights), peak, jnp.finfo(peak.dtype).max)
-    return Correction(joined_parts([one.law for one in done]), evidence, peak)
-
-
-def predicted(model: JumpMarkovModel, law: ModeMixture, columns: jax.Array, u: Any, t: Any) -> Gaussian:
-    """Return what some components expect to measure: means `(y, m k)`, covariances `(y, y, m k)`, mode after mode.
-
-    Args:
-        model: the system.
-        law: see `measured`.
-        columns: places `(k,)` within each block.
-        u: inputs of the step.
-        t: the time.
-    """
-    centers, covs = (jnp.split(leaf, model.count, axis=-1) for leaf in (law.parts.center, law.parts.covariance))
-    blocks = []
-    for part, center, cov in zip(model.models, centers, covs, strict=True):
-        prediction, slope, noise = linearize.affine_each(part.sensor, center[:, columns], u, t)
-        blocks.append(Gaussian(prediction, linalg.add(linalg.sandwich(slope, cov[..., columns]), noise)))
-    return joined_parts(blocks)
 
 
 def modes_of(model: Any) -> tuple[Any, ...]:

@@ -7,7 +7,7 @@ mode s_i, is taken with probability
 
 and x is drawn from its Gaussian, conditioned on x'. Means and covariances are those of these Gaussians, and probabilities of modes are sums
 of these weights, not those of the draws, so that less is left to chance. For linear modes a trajectory is a draw from the joint law given
-all measurements if the filter's law was exact; F is the slope at m_i elsewhere.
+all measurements if the filter's law was exact; elsewhere f, F and Q are those of the rule for moments over N(m_i, P_i).
 """
 
 from typing import Any, NamedTuple
@@ -15,10 +15,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, linalg, logspace, pairs, random
+from motes.core import checks, logspace, pairs, random
 from motes.core.record import record, replace, static
 from motes.filters.history import History
 from motes.filters.needs import as_jump_markov
+from motes.gaussian.rule import Linearized, Rule, check_rule
+from motes.gaussian.taylor import Taylor
 from motes.laws.circular import wrap
 from motes.laws.cloud import draw, pick
 from motes.laws.density import log_normal, noiseless
@@ -26,19 +28,10 @@ from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
 from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import of_mode
-from motes.models import linearize
 from motes.models.jump_markov import JumpMarkovModel
 from motes.models.state_space import at_step
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws
 from motes.smoothers.parents import FOLLOWED
-
-
-class _Move(NamedTuple):
-    """Where the components of a mixture go in one mode: values `(x, n)`, slopes and covariances of the noise `(x, x, n)`."""
-
-    prediction: jax.Array
-    slope: jax.Array
-    noise: jax.Array
 
 
 class _Drawn(NamedTuple):
@@ -56,11 +49,22 @@ class MixtureSmoother(Smoother):
 
     Attributes:
         n: number of trajectories.
+        rule: how the Gaussians are taken through the dynamics, best by the rule of the filter (see `JumpMarkovFilter`).
     """
 
     n: int = static()
+    rule: Rule = Taylor()
     lost = ("states that a component leads to", "Dynamics without noise in some direction lead from drawn states to others than were kept: "
             "use more particles, or give it a little noise.")  # fmt: skip
+
+    def check_knobs(self) -> None:
+        """Check the knobs.
+
+        Raises:
+            MotesError: n is not a positive whole number, or the rule is none or has a parameter that it cannot have.
+        """
+        Smoother.check_knobs(self)
+        check_rule("MixtureSmoother", self.rule)
 
     def prepare(self, model: Any, history: History, u: Any) -> JumpMarkovModel:
         """Ask for mixtures, and for means and covariances of the dynamics of every mode.
@@ -70,6 +74,7 @@ class MixtureSmoother(Smoother):
         """
         ask_laws("MixtureSmoother", history, Mixture)
         model = as_jump_markov("MixtureSmoother", model)
+        self.rule.check_size("MixtureSmoother", model.size)
         modes = getattr(history.state, "count", 1)
         if modes != model.count:
             checks.refuse("MixtureSmoother model", f"the model of the run, of {modes} modes", f"one of {model.count}")
@@ -108,8 +113,8 @@ class MixtureSmoother(Smoother):
             The Gaussians, NaN where no component leads to what follows; the modes of the components `(m,)`; and the probabilities of the
             modes `(modes,)`.
         """
-        moves = [_Move(*linearize.affine_each(part.dynamics, law.parts.center, u, t)) for part in model.models]
-        covs = [linalg.add(linalg.sandwich(move.slope, law.parts.covariance), move.noise) for move in moves]
+        moves = [self.rule.linearized(part.dynamics, law.parts, u, t) for part in model.models]
+        covs = [move.over(law.parts).covariance for move in moves]
         chances = model.log_transition(u, t)[law.modes]
         size = jnp.max(jnp.abs(jnp.concatenate([after.states, *(move.prediction for move in moves)], axis=1)), axis=1)
 
@@ -128,7 +133,7 @@ class MixtureSmoother(Smoother):
         points = random.uniform(key, (self.n,), size.dtype)
         parents, known, shares = pairs.against_all(parent, (after.states.T, after.modes, points), model.count * law.log_weights.shape[0])
         chosen = law.picked(parents)
-        move = _Move(*(of_mode(after.modes, [leaf[..., parents] for leaf in leaves]) for leaves in zip(*moves, strict=True)))
+        move = Linearized(*(of_mode(after.modes, [leaf[..., parents] for leaf in leaves]) for leaves in zip(*moves, strict=True)))
         done = chosen.parts.corrected(wrap(after.states - move.prediction, model.circular), move.slope, move.noise).law
         return Gaussian(jnp.where(known, done.center, jnp.nan), done.covariance), chosen.modes, jnp.mean(shares, axis=0)
 

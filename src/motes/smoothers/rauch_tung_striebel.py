@@ -5,7 +5,8 @@ Backward over the steps, with the dynamics near the filtered mean m replaced by 
     G = P F' (F P F' + Q)^-1
     mean <- m + G (mean' - c),   cov <- P - G (F P F' + Q) G' + G cov' G'
 
-F is the slope at m (exact for linear models, the extended smoother elsewhere), or that of the plane through sigma points (Sarkka 2008).
+F, c and Q are what a rule for moments makes of the dynamics over N(m, P): the slope at m (exact for linear models, the extended smoother
+elsewhere), or the regression over sigma points (Sarkka 2008).
 All covariances are held by factors, P = U U' and cov = C C', in the manner of Park and Kailath (1995, Square-root RTS smoothing
 algorithms): one triangle gives the gain and what it leaves,
 
@@ -21,13 +22,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, linalg
-from motes.core.record import record, static
+from motes.core import linalg
+from motes.core.record import record
 from motes.filters.history import History
 from motes.filters.needs import as_moment_model
+from motes.gaussian.rule import Rule, check_rule
+from motes.gaussian.taylor import Taylor
 from motes.laws.factored import FactoredGaussian
 from motes.laws.gaussian import Gaussian
-from motes.models import linearize, sigma_points
 from motes.models.state_space import StateSpaceModel, at_step
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_kind
 
@@ -39,19 +41,19 @@ class RauchTungStriebelSmoother(Smoother):
     """Rauch-Tung-Striebel smoother; it works with the moments of a filter whose state is a `Gaussian` or a `FactoredGaussian`.
 
     Attributes:
-        slope: of the dynamics: "jacobian" at the filtered mean (the Kalman and the extended smoother), or "sigma", that of the plane
-            through 2 x sigma points (the unscented smoother).
+        rule: how a filtered Gaussian is taken through the dynamics, best by the rule of the filter: `mo.gaussian.Taylor()` (the Kalman
+            and the extended smoother), or sigma points such as `mo.gaussian.Cubature()`.
     """
 
-    slope: str = static(default="jacobian")
+    rule: Rule = Taylor()
 
     def check_knobs(self) -> None:
         """Check the knobs.
 
         Raises:
-            MotesError: the slope is neither.
+            MotesError: the rule is none, or has a parameter that it cannot have.
         """
-        checks.option("RauchTungStriebelSmoother slope", self.slope, ("jacobian", "sigma"))
+        check_rule("RauchTungStriebelSmoother", self.rule)
 
     def prepare(self, model: Any, history: History, u: Any) -> StateSpaceModel:
         """Ask for Gaussian laws, and for mean and covariance of the dynamics.
@@ -60,7 +62,9 @@ class RauchTungStriebelSmoother(Smoother):
             MotesError: one is missing.
         """
         ask_kind("RauchTungStriebelSmoother", history, Gaussian, FactoredGaussian)
-        return as_moment_model("RauchTungStriebelSmoother", model)
+        model = as_moment_model("RauchTungStriebelSmoother", model)
+        self.rule.check_size("RauchTungStriebelSmoother", model.size)
+        return model
 
     def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
         """Go backward from the last law."""
@@ -68,11 +72,7 @@ class RauchTungStriebelSmoother(Smoother):
 
         def back(after: FactoredGaussian, row: Any) -> tuple[FactoredGaussian, tuple[jax.Array, jax.Array]]:
             mean, cov, filtered, u, t = row
-            before = Gaussian(mean, cov)
-            if self.slope == "sigma":
-                prediction, F, Q = sigma_points.affine(model.dynamics, sigma_points.cubature(model.size), before, u, t)
-            else:
-                prediction, F, Q = linearize.affine(model.dynamics, mean, u, t)
+            prediction, F, Q = self.rule.linearized(model.dynamics, Gaussian(mean, cov), u, t)
             root = linalg.cholesky(cov)
             nothing = jnp.zeros((size, size), root.dtype)
             rows = [[linalg.product(F, root), linalg.cholesky(linalg.symmetric(Q))], [root, nothing]]

@@ -17,8 +17,9 @@ from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, p
 from motes.bounds.kalman_at_truth import kalman_at_truth
 from motes.core import linalg
 from motes.core.record import replace
+from motes.gaussian.sigma_points import regressed_on, unscaled
+from motes.gaussian.taylor import Taylor
 from motes.laws.gaussian import Gaussian
-from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 from motes.models.terrain import TerrainMap
 from motes.tracing.compiling import jitted
@@ -106,13 +107,13 @@ def _expected(model: Any, track: Track) -> jax.Array:
 
     def measured(cov: jax.Array, u: Track, t: Any) -> jax.Array:
         factor = linalg.cholesky(linalg.take(linalg.take(cov, across), across, axis=1))
-        _, tilt, unexplained = linearize.regressed(model.sensor, across, zero[:, None], factor, u, t)
-        H = zero.at[np.array(across)].set(linearize.untilted(tilt[..., 0], factor)[0]).at[down].set(-1.0)
+        _, scaled_slope, unexplained = regressed_on(model.sensor, across, zero[:, None], factor, u, t)
+        H = zero.at[np.array(across)].set(unscaled(scaled_slope[..., 0], factor)[0]).at[down].set(-1.0)
         R = model.sensor.cov(zero, u, t) + jnp.maximum(unexplained[..., 0], 0)
         return Gaussian(zero, cov).corrected(jnp.zeros(1, zero.dtype), H[None], R).law.covariance
 
     def advance(cov: jax.Array, now: tuple[Track, Any]) -> tuple[jax.Array, jax.Array]:
-        cov = jnp.where(now[1] > 0, linearize.moved(model.dynamics, Gaussian(zero, cov), *now).covariance, cov)
+        cov = jnp.where(now[1] > 0, Taylor().through(model.dynamics, Gaussian(zero, cov), *now).covariance, cov)
         cov = measured(cov, *now)
         return cov, jnp.sqrt(jnp.sum(jnp.diagonal(cov)[np.array(across)]))
 

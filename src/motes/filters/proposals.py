@@ -15,10 +15,12 @@ import numpy as np
 
 from motes.core import checks, linalg, random
 from motes.core.record import record
+from motes.gaussian.rule import has_moments
+from motes.gaussian.sigma_points import regressed_on
+from motes.gaussian.taylor import affine
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over, over_particles
 from motes.laws.density import among, log_normal, log_normal_peak, noiseless
 from motes.laws.gaussian import Gaussian
-from motes.models import linearize
 from motes.models.state_space import StateSpaceModel
 from motes.models.structure import trace
 
@@ -89,13 +91,13 @@ class GivenProposal(Proposal):
 
 
 class Local(NamedTuple):
-    """The model about each particle: x' = center + spread v, and y = prediction + tilt v + e, with v standard normal.
+    """The model about each particle: x' = center + spread v, and y = prediction + slope v + e, with v standard normal.
 
     Attributes:
         center: `(x, n)`.
         spread: lower factor of the process noise covariance, `(x, x, *n)`.
         innovation: y less its prediction, `(y, n)`.
-        tilt: slope in v, `(y, x, *n)`.
+        slope: slope in v, `(y, x, *n)`.
         noise: covariance of e, `(y, y, *n)`.
         seen: components of y that count, `(y,)`.
         size: how large the numbers are whose difference the innovation is, `(y,)`.
@@ -104,20 +106,20 @@ class Local(NamedTuple):
     center: jax.Array
     spread: jax.Array
     innovation: jax.Array
-    tilt: jax.Array
+    slope: jax.Array
     noise: jax.Array
     seen: jax.Array
     size: jax.Array
 
     def evidence(self) -> tuple[jax.Array, jax.Array]:
         """Log density of y before v is known, and the same for a perfect prediction, `(n,)`."""
-        cov = linalg.add(linalg.product_transposed(self.tilt, self.tilt), self.noise)
+        cov = linalg.add(linalg.product_transposed(self.slope, self.slope), self.noise)
         density = log_normal(self.innovation, cov, self.seen, self.size, noiseless(among(self.noise, self.seen)))
         return density, log_normal_peak(self.innovation, cov, self.seen)
 
     def rest(self, v: jax.Array) -> jax.Array:
         """What v `(x, n)` leaves of the innovation, `(y, n)`."""
-        return self.innovation - linalg.times_vector(self.tilt, v)
+        return self.innovation - linalg.times_vector(self.slope, v)
 
     def drawn(self, key: jax.Array) -> jax.Array:
         """Draw v given y, `(x, n)`: a draw of v and e before y, corrected by what they leave of y. No factor of a covariance is needed."""
@@ -125,7 +127,7 @@ class Local(NamedTuple):
         numbers = random.normal(key, (size + self.innovation.shape[0], n), self.center.dtype)
         v, e = numbers[:size], linalg.times_vector(linalg.cholesky(self.noise), numbers[size:])
         unit = jnp.eye(size, dtype=v.dtype)
-        return Gaussian(v, unit).corrected(self.rest(v) - e, self.tilt, self.noise, self.seen).law.center
+        return Gaussian(v, unit).corrected(self.rest(v) - e, self.slope, self.noise, self.seen).law.center
 
     def moved(self, v: jax.Array) -> jax.Array:
         """Return x', `(x, n)`."""
@@ -149,7 +151,7 @@ class LocalProposal(Proposal):
         if not isinstance(model.dynamics, AdditiveGaussian):
             checks.refuse(f"{asked_by} dynamics", f"additive Gaussian noise ({name} bends it)", type(model.dynamics).__name__,
                           "Use no proposal, or a conditional of your own.")
-        if not linearize.has_moments(model.sensor):
+        if not has_moments(model.sensor):
             checks.refuse(f"{asked_by} sensor", f"a mean function and a noise covariance ({name} looks at them)",
                           type(model.sensor).__name__, "Use no proposal, or a conditional of your own.")
 
@@ -216,17 +218,17 @@ class UnscentedProposal(LocalProposal):
 
     Source: van der Merwe, Doucet, de Freitas, Wan 2000, with the noise of one step in place of a covariance carried by each particle.
 
-    What the plane leaves unexplained is added to R, which makes it wider and safer than `ExtendedKalmanProposal`, for 2 x + 1 calls of the
-    sensor per particle. Noises are as there.
+    What the regression leaves unexplained is added to R, which makes it wider and safer than `ExtendedKalmanProposal`, for 2 x + 1 calls
+    of the sensor per particle. Noises are as there.
     """
 
     def about(self, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Local:
         """See `LocalProposal`."""
         sensor, seen = _gaussian(model.sensor, y)
         center, spread = _step(model, X, u, t)
-        plane = linearize.regressed(sensor, range(X.shape[0]), center, spread, u, t)
-        noise = linalg.add(plane.unexplained, matrix_over(sensor.Q, center, u, t))
-        return Local(center, spread, sensor.residual(y, plane.prediction), plane.tilt, noise, seen, jnp.abs(y))
+        found = regressed_on(sensor, range(X.shape[0]), center, spread, u, t)
+        noise = linalg.add(found.unexplained, matrix_over(sensor.Q, center, u, t))
+        return Local(center, spread, sensor.residual(y, found.prediction), found.scaled_slope, noise, seen, jnp.abs(y))
 
 
 def as_proposal(argument: str, value: Any) -> Proposal:
@@ -262,7 +264,7 @@ def _gaussian(sensor: Conditional, y: jax.Array) -> tuple[AdditiveGaussian, jax.
 def _by_slope(model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Local:
     sensor, seen = _gaussian(model.sensor, y)
     center, spread = _step(model, X, u, t)
-    slope = matrix_over(lambda x, u, t: linearize.affine(sensor, x, u, t)[1], center, u, t)
+    slope = matrix_over(lambda x, u, t: affine(sensor, x, u, t).slope, center, u, t)
     innovation = sensor.residual(y, sensor.means(center, u, t))
     return Local(center, spread, innovation, linalg.product(slope, spread), matrix_over(sensor.Q, center, u, t), seen, jnp.abs(y))
 
