@@ -16,7 +16,7 @@ from pages import told, write_page
 
 import motes as mo
 from motes.core import random
-from motes.filters.run import Engine
+from motes.filters.setup import setup
 from motes.models.textbook import radar_tracking
 
 N, STEPS, TURNS = 2000, 60, 2
@@ -52,9 +52,9 @@ def operations(filter, model, y):
     key = random.as_key(0)
 
     def step(carry, y):
-        return Engine(key, filter, model).step(carry, y, None)
+        return setup(key, filter, model, None, y).step(carry, y, None)
 
-    begun = jax.jit(lambda y: Engine(key, filter, model).begin(y, None)[0])(y)
+    begun = jax.jit(lambda y: setup(key, filter, model, None, y).begin(y, None)[0])(y)
     counted = jax.jit(step).lower(begun, y).compile().cost_analysis()
     return counted["flops"] + TRANSCENDENTAL * counted.get("transcendentals", 0.0)
 

@@ -9,10 +9,11 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh
-from motes.filters.needs import as_state_space
+from motes.filters.clouds import resample_and_move, update_weights
+from motes.filters.info import Info
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.laws.cloud import Cloud
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, as_state_space
 from motes.resampling.policy import Always
 from motes.resampling.schemes import Systematic
 
@@ -50,12 +51,12 @@ class SkeletonFilter(TwoStageFilter):
         def move(noise_key: jax.Array, cloud: Cloud) -> Cloud:
             return replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
 
-        return evolve((random.child(key, random.RESAMPLE), random.child(key, random.NOISE)), Systematic(), Always(), state, move)
+        return resample_and_move((random.child(key, random.RESAMPLE), random.child(key, random.NOISE)), Systematic(), Always(), state, move)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Take in y; missing components, collapse and its policy are seen to by `reweigh` and the base class."""
+        """Take in y; missing components, collapse and its policy are seen to by `update_weights` and the base class."""
 
-        def judge(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
+        def likelihood_of(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
             return cloud, model.sensor.log_prob(y, cloud.particles, u, t), model.sensor.ceiling(y, cloud.particles, u, t)
 
-        return reweigh(state, judge)
+        return update_weights(state, likelihood_of)

@@ -29,7 +29,7 @@ STAGES = {
     "AdditiveGaussian.ceiling": "likelihood",
     "weigh": "weights",
     "weighted_moments": "mean and covariance",
-    "Filter.settle": "settling",
+    "Filter.accept": "settling",
 }
 """Functions of the library, as they stand in compiled programs, and what a reader calls their work; inner ones count first."""
 

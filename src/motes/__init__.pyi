@@ -51,9 +51,9 @@ from .filters.gaussian_particle import GaussianParticleFilter as GaussianParticl
 from .filters.gaussian_sum import GaussianSumParticleFilter as GaussianSumParticleFilter
 from .filters.history import History as History
 from .filters.history import joined as joined
+from .filters.info import Info as Info
 from .filters.interacting_multiple_model import InteractingMultipleModel as InteractingMultipleModel
 from .filters.interface import Filter as Filter
-from .filters.interface import Info as Info
 from .filters.interface import TwoStageFilter as TwoStageFilter
 from .filters.jump_markov import JumpMarkovFilter as JumpMarkovFilter
 from .filters.kalman import KalmanFilter as KalmanFilter

@@ -218,7 +218,7 @@ OTHERS = {
     "mixed linear, joined": (MIXED, mo.EnsembleKalmanFilter(n=300)),
     "modes mixed": (JUMPING, mo.InteractingMultipleModel()),
     "modes followed": (JUMPING, mo.JumpMarkovFilter(n=20)),
-    "modes joined": (JUMPING.joined(), mo.ParticleFilter(n=400)),
+    "modes joined": (JUMPING.as_state_space(), mo.ParticleFilter(n=400)),
     "correlated noises": (CORRELATED, mo.ParticleFilter(n=400)),
     "noise of another law": (LAPLACE, mo.ParticleFilter(n=400)),
     "in the user's words": (OWN, mo.ParticleFilter(n=400)),

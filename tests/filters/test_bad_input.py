@@ -84,7 +84,7 @@ CASES = {
         "JumpMarkovModel models: expected the same number of measured components in all modes, got ['1', '2']"),
     "modes for a particle filter": (
         lambda: run_with(model=mo.JumpMarkovModel([1.0], [[1.0]], [good_model()])),
-        "ParticleFilter model: expected a StateSpaceModel or a MixedLinearModel, got JumpMarkovModel. Use InteractingMultipleModel or JumpMarkovFilter, or give model.joined()."),
+        "ParticleFilter model: expected a StateSpaceModel or a MixedLinearModel, got JumpMarkovModel. Use InteractingMultipleModel or JumpMarkovFilter, or give model.as_state_space()."),
     "structure of what": (lambda: mo.structure(EYE), "structure model: expected a StateSpaceModel or a MixedLinearModel, got ndarray"),
     # states by name
     "unknown state": (

@@ -12,8 +12,8 @@ RANKS = {
     "smoothers": 5, "mcmc": 5, "bounds": 5, "costs": 5, "diagnostics": 5,
     "montecarlo": 6, "studies": 6, "testing": 6, "planning": 7, "applications": 7, "parameters": 7, "plotting": 8, "report": 8, "cli": 9,
 }  # fmt: skip
-SHARED = {"filters": ("interface", "needs", "gated", "gaussian", "look_ahead", "proposals", "sharp", "alarm", "notices", "precision",
-                      "history", "keep", "run"),
+SHARED = {"filters": ("interface", "info", "clouds", "needs", "gated", "gaussian", "look_ahead", "proposals", "sharp", "alarm", "notices",
+                      "precision", "history", "keep", "data", "setup", "run"),
           "mcmc": ("interface", "chains", "continuing", "convergence", "judgement", "jumps"),
           "montecarlo": ("estimate",), "parameters": ("posterior", "paths", "augmented")}
 """Files of a room of methods that others of the room may import; the methods themselves may not import each other."""

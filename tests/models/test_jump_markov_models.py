@@ -38,7 +38,7 @@ def test_draws_follow_the_chain_the_dynamics_and_the_sensors():
 
 
 def test_the_initial_law_of_the_joined_model():
-    initial = model().joined().initial
+    initial = model().as_state_space().initial
     points = np.asarray(initial.sample(jax.random.key(0), 20_000))
     assert np.allclose(points.mean(axis=1), initial.mean(), atol=0.08) and np.allclose(np.cov(points), initial.cov(), atol=0.12)
     assert np.allclose(initial.mean(), [1.0, 0.2], atol=1e-6)
@@ -61,9 +61,9 @@ def test_equal_models_share_compiled_code_and_a_stream_draws_the_same():
     assert np.array_equal(stream.mean, history.mean[-1])
     assert np.allclose(stream.state.mode_probabilities(), history.mode_probabilities[-1], atol=1e-6)
     joined = mo.ParticleFilter(n=50)
-    mo.run(1, joined, model().joined(), ys, u)
+    mo.run(1, joined, model().as_state_space(), ys, u)
     compiled = running._run._cache_size()
-    mo.run(2, joined, model().joined(), ys, u)
+    mo.run(2, joined, model().as_state_space(), ys, u)
     assert running._run._cache_size() == compiled
-    mo.run(2, joined, model(bias=2.0).joined(), ys, u)
+    mo.run(2, joined, model(bias=2.0).as_state_space(), ys, u)
     assert running._run._cache_size() == compiled + 1

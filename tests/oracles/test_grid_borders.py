@@ -72,12 +72,12 @@ def test_the_number_of_a_mode_has_probabilities(double):
     parts = [walk(0.3), walk(0.6)]
     model = mo.JumpMarkovModel([0.5, 0.5], [[0.8, 0.2], [0.3, 0.7]], parts)
     for end, lost in ((9.0, False), (4.0, True)):
-        found = mo.run(0, mo.PointMassFilter((-end, 0.0), (end, 1.0), (int(20 * end) + 1, 2)), model.joined(), YS[:9])
+        found = mo.run(0, mo.PointMassFilter((-end, 0.0), (end, 1.0), (int(20 * end) + 1, 2)), model.as_state_space(), YS[:9])
         assert bool(np.asarray(found.info.lost)[1:].max() > 1e-6) is lost and float(found.info.lost.max()) < 0.1
     wanted = mo.run(0, mo.JumpMarkovFilter(n=2**9), model, YS[:9])
     assert abs(float(found.log_likelihood) - float(wanted.log_likelihood)) < 0.003
     with pytest.raises(mo.MotesError, match="lower, upper, nodes: expected 0, 1 and 2 for the mode"):
-        mo.run(0, mo.PointMassFilter((-3.0, 0.0), (3.0, 1.0), (50, 3)), model.joined(), YS)
+        mo.run(0, mo.PointMassFilter((-3.0, 0.0), (3.0, 1.0), (50, 3)), model.as_state_space(), YS)
 
 
 def test_a_step_without_noise_loses_nothing(double):
@@ -85,6 +85,6 @@ def test_a_step_without_noise_loses_nothing(double):
     still = mo.StateSpaceModel(walk().initial, mo.LinearGaussian([[1.0]], [[0.0]]), walk().sensor)
     found = mo.run(0, grid(8.0), still, YS[:5])
     assert float(found.info.lost.max()) < 1e-12
-    mixed = mo.JumpMarkovModel([0.5, 0.5], [[0.8, 0.2], [0.3, 0.7]], [walk(), still]).joined()
+    mixed = mo.JumpMarkovModel([0.5, 0.5], [[0.8, 0.2], [0.3, 0.7]], [walk(), still]).as_state_space()
     with pytest.raises(mo.CollapseError):
         mo.run(0, mo.PointMassFilter((-5.0, 0.0), (5.0, 1.0), (99, 2)), mixed, YS[:5])

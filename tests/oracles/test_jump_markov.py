@@ -188,9 +188,9 @@ def test_drawn_states_and_the_joined_model_agree_with_a_grid(double):
 
     model = mo.JumpMarkovModel([0.6, 0.4], [[0.9, 0.1], [0.25, 0.75]], [part(0.8, 0.0, 0.1), part(0.5, 1.0, 0.5)])
     ys = jnp.array([[0.4], [0.1], [2.5], [jnp.nan], [3.0], [0.6]])
-    exact = mo.run(0, mo.PointMassFilter((-4.0, 0.0), (6.0, 1.0), (300, 2)), model.joined(), ys)
+    exact = mo.run(0, mo.PointMassFilter((-4.0, 0.0), (6.0, 1.0), (300, 2)), model.as_state_space(), ys)
     keys = jax.random.split(jax.random.key(1), 24)
-    for filter, given in ((mo.JumpMarkovFilter(n=500, sampled=(0,)), model), (mo.ParticleFilter(n=2000), model.joined())):
+    for filter, given in ((mo.JumpMarkovFilter(n=500, sampled=(0,)), model), (mo.ParticleFilter(n=2000), model.as_state_space())):
         run = jax.jit(jax.vmap(lambda key, f=filter, m=given: (lambda h: (h.mean[:, :1], h.log_likelihood))(mo.run(key, f, m, ys))))
         means, totals = map(np.asarray, run(keys))
         error = 5.5 / np.sqrt(len(keys))

@@ -56,7 +56,7 @@ SAMPLED = replace(linear(), dynamics=mo.Custom(sample=lambda key, x, u, t: x + j
 @pytest.mark.parametrize(("filter", "model", "works"), [
     (mo.InteractingMultipleModel(), MODES, {"MixtureSmoother"}),
     (mo.JumpMarkovFilter(n=9, sampled="a"), MODES, {"MixtureSmoother"}),
-    (mo.ParticleFilter(n=9), MODES.joined(), {"BackwardSimulationSmoother", "GenealogySmoother"}),
+    (mo.ParticleFilter(n=9), MODES.as_state_space(), {"BackwardSimulationSmoother", "GenealogySmoother"}),
     (mo.ParticleFilter(n=9), SAMPLED, {"GenealogySmoother"}),
     (mo.ParticleFilter(n=9, scheme=mo.EntropicTransport()), SAMPLED, set()),
 ], ids=["mixing", "jump-Markov", "joined", "no density", "no density nor descent"])  # fmt: skip

@@ -102,7 +102,7 @@ CASES = {
     "all paths": (mo.MixtureSmoother(n=200), ALL, system(), False, 1e-4),
     "singular noise": (mo.MixtureSmoother(n=200), ALL, system(SINGULAR), True, 1e-4),
     "drawn": (mo.MixtureSmoother(n=100), mo.JumpMarkovFilter(n=100, sampled=("a",)), system(), False, 0.02),
-    "joined": (mo.BackwardSimulationSmoother(n=100), mo.ParticleFilter(n=400), system().joined(), False, 0.02),
+    "joined": (mo.BackwardSimulationSmoother(n=100), mo.ParticleFilter(n=400), system().as_state_space(), False, 0.02),
 }
 
 
@@ -137,6 +137,6 @@ def test_clouds_of_a_joined_model_keep_modes(filter):
              for a, q in ((0.9, 0.1), (-0.7, 1.5))]  # fmt: skip
     model = mo.JumpMarkovModel(START, chain, parts)
     wanted = mo.run(0, mo.JumpMarkovFilter(n=64), model, YS, SHARES, keep=mo.keep.modes).mode_probabilities
-    history = mo.run(0, filter, model.joined(), YS, SHARES, keep=mo.keep.modes)
+    history = mo.run(0, filter, model.as_state_space(), YS, SHARES, keep=mo.keep.modes)
     assert np.allclose(history.mode_probabilities, wanted, atol=0.05) and history.mean.shape == (STEPS, 2)
     assert np.allclose(mo.keep.modes(history.state, 2)["mode_probabilities"], history.mode_probabilities[-1], atol=1e-6)

@@ -171,8 +171,8 @@ class Silent(TextbookFilter):
 
 @record
 class SilentParticles(mo.ParticleFilter):
-    def settle(self, *args):
-        state, info = super().settle(*args)
+    def accept(self, *args):
+        state, info = super().accept(*args)
         return state, replace(info, collapsed=jnp.zeros((), bool))
 
 

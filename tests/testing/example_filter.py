@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import motes as mo
 from motes.core.checks import refuse
 from motes.core.record import record
-from motes.filters.interface import single
+from motes.filters.info import single
 from motes.laws.gaussian import Correction
 
 

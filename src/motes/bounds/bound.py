@@ -9,7 +9,7 @@ import numpy as np
 from motes.core import checks
 from motes.core.record import record, static
 from motes.io import archive
-from motes.models.state_space import index_of
+from motes.models.interface import index_of
 
 States = str | int | tuple[str | int, ...]
 

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 
 from motes.bounds.bound import Bound
 from motes.core import checks
+from motes.core.loop import loop, opened
 from motes.core.types import Inputs
-from motes.filters.needs import as_state_space
 from motes.gaussian.rule import has_moments
 from motes.gaussian.taylor import Taylor, affine
 from motes.laws.gaussian import Gaussian
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
+from motes.models.state_space import StateSpaceModel, as_state_space, at_step, checked_inputs
 from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
 
@@ -44,7 +44,7 @@ def kalman_at_truth(model: Any, xs: jax.Array, inputs: Inputs = None) -> Bound:
         part = getattr(given, name)
         if not has_moments(part):
             checks.refuse(f"kalman_at_truth {name}", "a mean function and a noise covariance (it uses the Jacobian)", type(part).__name__)
-    if given.noise_cross_cov is not None:
+    if given.correlated:
         checks.refuse("kalman_at_truth model", "independent process and measurement noise", "noise_cross_cov")
     xs = checks.as_float("kalman_at_truth xs", xs).astype(given.dtype)
     checks.shape("kalman_at_truth xs", xs, (None, given.size), "(steps, states)")
@@ -68,5 +68,5 @@ def _covariances(given: Any, xs: jax.Array, inputs: Inputs, beside: Beside) -> j
         return cov, cov
 
     first = measure(model.initial.cov(), jnp.int32(0))
-    _, rest = jax.lax.scan(advance, first, jnp.arange(1, xs.shape[0], dtype=jnp.int32))
-    return jnp.concatenate([first[None], rest])
+    _, rest = loop(advance, first, jnp.arange(1, xs.shape[0], dtype=jnp.int32))
+    return opened(first, rest)

@@ -22,13 +22,13 @@ import numpy as np
 
 from motes.bounds.bound import Bound
 from motes.core import checks, linalg, random
+from motes.core.loop import loop
 from motes.core.types import Inputs, KeyLike
-from motes.filters.needs import as_state_space
 from motes.gaussian.taylor import affine
 from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
+from motes.models.state_space import StateSpaceModel, as_state_space, at_step, checked_inputs
 from motes.models.structure import trace
 from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
@@ -87,7 +87,7 @@ def _check_model(model: Any) -> tuple[str, ...]:
                           "The bound is known for additive Gaussian noise only.")
     if not isinstance(given.initial, Gaussian):
         checks.refuse("posterior_cramer_rao initial", "a Gaussian", type(given.initial).__name__)
-    if given.noise_cross_cov is not None:
+    if given.correlated:
         checks.refuse("posterior_cramer_rao model", "independent process and measurement noise", "noise_cross_cov")
     return given.names
 
@@ -133,7 +133,7 @@ def _recursion(
 
     X = model.initial.sample(random.child(random.step_key(key, 0), random.INITIAL), trajectories)
     start = (X, linalg.cholesky(model.initial.cov()), jnp.int32(0))
-    _, (Gs, faults) = jax.lax.scan(advance, start, jnp.arange(steps, dtype=jnp.int32))
+    _, (Gs, faults) = loop(advance, start, jnp.arange(steps, dtype=jnp.int32))
     covs = jax.vmap(lambda G: linalg.product_transposed(G, G))(Gs)
     return jnp.where(faults[:, None, None] > 0, jnp.nan, covs), faults
 

@@ -26,13 +26,12 @@ from motes.core.record import record, replace, static
 from motes.core.types import Inputs
 from motes.costs.complexity import Costs
 from motes.costs.measure import least_seconds
-from motes.filters.needs import as_state_space
 from motes.filters.particle import ParticleFilter
 from motes.io import archive
 from motes.io.private import private_folder
 from motes.laws.cloud import Cloud
 from motes.models.simulate import simulate
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, as_state_space
 from motes.models.structure import structure
 from motes.models.textbook import radar_tracking
 from motes.native.compile import processor

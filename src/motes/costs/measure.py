@@ -14,8 +14,9 @@ import numpy as np
 from motes.core import checks
 from motes.core.record import record, replace, values
 from motes.core.types import Inputs
+from motes.filters.data import checked_data
 from motes.filters.interface import Filter
-from motes.filters.run import checked_data, run
+from motes.filters.run import run
 
 REPEATS = 7
 SPAN = 0.2

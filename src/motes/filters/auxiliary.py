@@ -14,7 +14,8 @@ import jax.numpy as jnp
 
 from motes.core import checks
 from motes.core.record import record, static
-from motes.filters.interface import Guide, Info, surprised
+from motes.filters.info import Info, surprised
+from motes.filters.interface import Guide
 from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_surprise
 from motes.filters.needs import as_particle_model
 from motes.filters.proposals import Proposal, as_proposal
@@ -95,7 +96,7 @@ class AuxiliaryParticleFilter(LookAheadFilter):
     def update(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
         after, info = first_weighed(key, self._moves, model, state, y, u, t)
-        return self.settle(state, after, info, y)
+        return self.accept(state, after, info, y)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
         """Resample by the scores where needed, then move by the proposal."""

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, weigh
+from motes.filters.info import Info, weigh
+from motes.filters.interface import Guide
 from motes.filters.look_ahead import Ahead, LookAheadFilter
 from motes.filters.needs import as_moment_model
 from motes.laws.conditional import matrix_over, over_particles
@@ -117,7 +118,7 @@ class CostReferenceParticleFilter(LookAheadFilter):
     def update(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
         """Charge the particles for y."""
         after, info = self._taken_in(model, state, y, u, t)
-        return self.settle(state, after, info, y)
+        return self.accept(state, after, info, y)
 
     def _selected(self, key: jax.Array, risks: jax.Array, least: jax.Array) -> jax.Array:
         if self.selection == "local":

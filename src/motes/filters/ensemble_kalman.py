@@ -14,7 +14,8 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, random, sums
 from motes.core.record import record, replace, static
 from motes.filters.gated import Gated
-from motes.filters.interface import Guide, Info, TwoStageFilter, single
+from motes.filters.info import Info, single
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.needs import as_moment_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import matrix_over, over_particles

@@ -5,14 +5,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from motes.core import checks
 from motes.core import engine as engines
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.filters.interface import Filter
-from motes.filters.needs import as_state_space
-from motes.filters.run import Engine
-from motes.models.jump_markov import modes_of
-from motes.models.state_space import measurement_size
+from motes.filters.setup import setup
+from motes.models.interface import Model
 from motes.native import report
 
 
@@ -47,12 +46,12 @@ def explain(filter: Filter, model: Any, inputs: Inputs = None, y: Any = None) ->
     Raises:
         MotesError: filter and model do not fit each other.
     """
-    size = measurement_size(as_state_space("explain", modes_of(model)[0]), inputs)
+    size = checks.instance("explain model", model, Model, "a model such as StateSpaceModel").measurement_size(inputs)
     given = jnp.zeros((size or 1,), model.dtype) if y is None else jnp.asarray(y, model.dtype)
 
     def once(key: jax.Array, filter: Filter, model: Any, y: jax.Array, u: Any) -> Any:
-        parts = Engine(key, filter, model)
-        return parts.step(parts.begin(y, u)[0], y, u)
+        ready = setup(key, filter, model, u, y)
+        return ready.step(ready.begin(y, u)[0], y, u)
 
     with engines.using("native"), report.collected(quiet=True) as notes:
         jax.eval_shape(once, jax.random.key(0), filter, model, given, inputs)

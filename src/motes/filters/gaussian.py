@@ -11,7 +11,8 @@ import jax
 
 from motes.core.record import record
 from motes.filters.gated import Gated
-from motes.filters.interface import Guide, Info, TwoStageFilter, single
+from motes.filters.info import Info, single
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.needs import as_linear_model, as_moment_model
 from motes.gaussian.rule import Rule, check_rule
 from motes.laws.gaussian import Gaussian

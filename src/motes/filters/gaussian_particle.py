@@ -14,7 +14,8 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.gated import Gated
-from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
+from motes.filters.info import Info, surprised, weigh
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.look_ahead import Ahead, LookAheadFilter
 from motes.filters.needs import as_particle_model
 from motes.filters.sharp import ask_noise

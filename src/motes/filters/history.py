@@ -12,7 +12,7 @@ import numpy as np
 from motes.core import checks
 from motes.core.logspace import RunningSum
 from motes.core.record import record, replace, static
-from motes.filters.interface import Info
+from motes.filters.info import Info
 from motes.io import archive
 from motes.laws.spelled import UnspelledError, restored, spelled
 

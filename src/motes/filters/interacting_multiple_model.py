@@ -16,8 +16,10 @@ import jax.numpy as jnp
 
 from motes.core import linalg
 from motes.core.record import record, replace
+from motes.filters.clouds import weigh_modes
 from motes.filters.gated import Gated
-from motes.filters.interface import Guide, Info, TwoStageFilter, weigh_modes
+from motes.filters.info import Info
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.needs import as_jump_markov
 from motes.gaussian.modes import initial_gaussians, predicted
 from motes.gaussian.rule import Rule, check_rule

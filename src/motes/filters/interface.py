@@ -1,8 +1,7 @@
 """The contract of a filter: a frozen record of its own knobs that maps a law to a law. The model is an argument, never a field."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,154 +9,13 @@ import jax.numpy as jnp
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
-from motes.filters.alarm import Surprise
-from motes.filters.needs import as_state_space
-from motes.gaussian.modes import expected, measured
-from motes.gaussian.rule import Rule
-from motes.laws.cloud import Cloud
-from motes.laws.conditional import Conditional
-from motes.laws.gaussian import Correction
-from motes.laws.mode_mixture import ModeMixture
-from motes.models.jump_markov import JumpMarkovModel
-from motes.models.state_space import circular
-from motes.native import cloudwise
+from motes.filters.info import Info
+from motes.models.interface import circular
+from motes.models.state_space import as_state_space
 from motes.resampling import gradients
-from motes.resampling.policy import Policy, resample
-from motes.resampling.schemes import Scheme, Weighted
-
-C = TypeVar("C", bound=Weighted)
-
-HOPELESS = 1e4
-"""A measurement this many nats below a perfect fit (141 standard deviations) for the best particle counts as a collapse."""
 
 INFLATION = 4.0
 """Factor on the covariance when a filter answers a collapse by inflating."""
-
-
-@record
-class Info:
-    """What a reader wants to know of one step; the next step does not need it.
-
-    Attributes:
-        log_evidence: log density of the measurement given those before it; 0 when nothing was measured.
-        ess: effective sample size after the measurement; infinite for laws without sampling error.
-        collapsed: whether all weights vanished, so that the measurement was not used.
-        invalid: number of particles whose likelihood was not a number; they get no weight.
-        lowest: smallest log likelihood over the particles.
-        highest: largest log likelihood over the particles.
-        gap: nats by which the best particle falls short of a perfect fit; half the squared normalized innovation of filters whose law has
-            no weights; 0 where the largest possible likelihood is not known.
-        surprise: squared distance of the measurement from what was predicted of it; chi-square where the filter's claims are right.
-        freedom: degrees of freedom of `surprise`; 0 where nothing was measured, or where no prediction is known.
-        alarm: whether measurements have by now scattered so much more than predicted that the filter's claims are wrong (`alarm.py`).
-        gated: 1 where the filter's `gate` left the measurement out, else 0.
-        lost: share of the probability that left the filter's grid on the way to this step; 0 of filters without a grid.
-    """
-
-    log_evidence: jax.Array
-    ess: jax.Array
-    collapsed: jax.Array
-    invalid: jax.Array
-    lowest: jax.Array
-    highest: jax.Array
-    gap: jax.Array
-    surprise: jax.Array
-    freedom: jax.Array
-    alarm: jax.Array
-    gated: jax.Array
-    lost: jax.Array
-
-
-def weigh(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, Info]:
-    """Multiply weights by likelihoods, and judge whether that is still meaningful.
-
-    Weights have collapsed when they sum to nothing or to infinity, when the best particle is `HOPELESS` nats below its ceiling, or when the
-    log likelihoods are so large that rounding hides their differences. NaN likelihoods count as zero and are reported.
-
-    Args:
-        log_weights: normalized, `(n,)`.
-        log_likelihood: `(n,)`.
-        ceiling: largest value the log likelihood can take, `()` or `(n,)`; infinite when not known.
-
-    Returns:
-        Normalized log weights `(n,)` (not usable where collapsed) and the record of the step.
-    """
-    weights, found = logspace.joint_weights(log_weights, log_likelihood, ceiling)
-    return weights, judged(found)
-
-
-def judged(found: jax.Array) -> Info:
-    """Return the record of a step from the six numbers of `logspace.joint_weights`."""
-    log_evidence, ess, invalid, lowest, highest, gap = found
-    unresolved = jnp.abs(highest) * jnp.finfo(found.dtype).eps > 1
-    collapsed = ~jnp.isfinite(log_evidence) | (gap > HOPELESS) | unresolved
-    none, quiet = jnp.zeros_like(ess), jnp.zeros((), bool)
-    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest, gap, none, none, quiet, jnp.int32(0), none)
-
-
-def single(done: Correction) -> Info:
-    """Return the record of a step of a filter whose law has no weights."""
-    evidence = done.log_evidence
-    _, info = weigh(jnp.zeros((1,), evidence.dtype), evidence[None], done.peak)
-    square, freedom = 2 * (done.peak - evidence), jnp.asarray(done.count, evidence.dtype)
-    return replace(info, ess=jnp.full_like(evidence, jnp.inf), surprise=square, freedom=freedom)
-
-
-def surprised(info: Info, found: Surprise) -> Info:
-    """Add to the record of a step how far its measurement lies from the prediction."""
-    return replace(info, surprise=found.square, freedom=found.freedom)
-
-
-def evolve(keys: tuple[jax.Array, jax.Array], scheme: Scheme, policy: Policy, cloud: C, move: Callable[[jax.Array, C], C]) -> C:
-    """Resample a cloud where the policy says so, then move it.
-
-    Args:
-        keys: for resampling, and for the noise.
-        scheme: how ancestors are drawn.
-        policy: when to resample.
-        cloud: law of n weighted particles.
-        move: from the key of the noise and the cloud to the moved cloud, each particle on its own.
-    """
-    moved = cloudwise.evolve(keys, scheme, policy, cloud, move)
-    if moved is None:
-        return move(keys[1], resample(keys[0], scheme, policy, cloud))
-    return gradients.noticed(moved) if gradients.loses(scheme, policy) else moved
-
-
-def reweigh(cloud: C, judge: Callable[[C], tuple[C, jax.Array, jax.Array]]) -> tuple[C, Info]:
-    """Correct a cloud and weigh its particles by a measurement.
-
-    Args:
-        cloud: law of n weighted particles.
-        judge: gives the corrected cloud, the log likelihood of each particle `(n,)` and its ceiling (see `weigh`), each on its own.
-    """
-    native = cloudwise.reweigh(cloud, judge)
-    if native is not None:
-        return native[0], judged(native[1])
-    after, likelihood, ceiling = judge(cloud)
-    weights, info = weigh(cloud.log_weights, likelihood, ceiling)
-    return replace(after, log_weights=weights), info
-
-
-def by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-    """Weigh particles that stay where they are by the likelihood of y alone; the key serves the alarm."""
-
-    def judge(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
-        return cloud, sensor.log_prob(y, cloud.particles, u, t), sensor.ceiling(y, cloud.particles, u, t)
-
-    after, info = reweigh(cloud, judge)
-    some = alarm.some_of(cloud.log_weights.shape[0])
-    return after, surprised(info, alarm.of_cloud(key, sensor, cloud.particles[:, some], cloud.log_weights[some], y, u, t))
-
-
-def weigh_modes(rule: Rule, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:
-    """Correct the Gaussian of each component by the sensor of its mode, and weigh it by its predictive density of y."""
-    done = measured(rule, model, state, y, u, t)
-    weights, info = weigh(state.log_weights, done.log_evidence, done.peak)
-    few, log_weights = alarm.few_of(state.log_weights.reshape(model.count, -1))
-    told = expected(rule, model, state, few, u, t)
-    found = alarm.of_mixture(model.models[0].sensor.angles, told.center, told.covariance, log_weights.reshape(-1), y, drawn=False)
-    return replace(state, parts=done.law, log_weights=weights), surprised(info, found)
 
 
 class Guide(NamedTuple):
@@ -230,11 +88,11 @@ class Filter(ABC):
         """Refuse values of the filter's own knobs."""
 
     def prepare(self, model: Any, u: Any) -> Any:
-        """Check that the model has what this filter needs and bring it into the filter's form; doing so twice changes nothing.
+        """Check that the model has what this filter needs and bring it into the filter's form: once for each compiled program.
 
         Args:
-            model: the user's model.
-            u: inputs of one step, for tracing.
+            model: the user's model, its noises independent.
+            u: inputs of one step as the model's functions take them, for tracing; the user's are `models.correlated.users(u)`.
 
         Raises:
             MotesError: something is missing; the message says what, where, and what to use instead.
@@ -256,8 +114,8 @@ class Filter(ABC):
     def step(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
         """Go to the next time t and take in its measurement."""
 
-    def settle(self, before: Any, after: Any, info: Info, y: jax.Array) -> tuple[Any, Info]:
-        """Apply the two rules that every filter shares: nothing measured changes nothing, and a collapse is answered by the policy."""
+    def accept(self, before: Any, after: Any, info: Info, y: jax.Array) -> tuple[Any, Info]:
+        """Accept an update by the rules that all filters share: nothing measured changes nothing, the gate, the policy for a collapse."""
         missing = jnp.all(jnp.isnan(y))
         if self.gate is not None:
             outside = (info.freedom > 0) & ~alarm.within(self.gate, info.surprise, info.freedom) & ~missing
@@ -291,7 +149,7 @@ class TwoStageFilter(Filter):
     def update(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
         """Take in the measurement y `(y,)` of the present time; NaN means not measured."""
         after, info = self.correct(key, model, state, y, u, t)
-        return self.settle(state, after, info, y)
+        return self.accept(state, after, info, y)
 
     def step(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
         """Go to the next time t and take in its measurement."""

@@ -18,9 +18,10 @@ from motes.core import checks, linalg, random
 from motes.core.logspace import uniform_weights
 from motes.core.record import record, replace, static
 from motes.filters import alarm
+from motes.filters.clouds import resample_and_move, update_weights
 from motes.filters.gated import Gated
-from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh, surprised
-from motes.filters.needs import as_state_space
+from motes.filters.info import Info, surprised
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.gaussian.rule import Linearized
 from motes.gaussian.sigma_points import regressed_on, through_on, unscaled
 from motes.gaussian.taylor import Taylor, affine, slope_in
@@ -28,8 +29,7 @@ from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.laws.density import measured_in
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
-from motes.models.mixed_linear import MixedLinearModel
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, as_state_space
 from motes.models.structure import largest, trace, varying
 from motes.resampling.policy import Entropy, Never, Policy
 from motes.resampling.schemes import Scheme, Systematic
@@ -118,9 +118,7 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         Raises:
             MotesError: a noise is of another kind, or there is no such state.
         """
-        if isinstance(model, LocalModel):
-            return model
-        known = model.linear if isinstance(model, MixedLinearModel) else None
+        known = getattr(model, "linear", None)
         model = as_state_space("KalmanParticleKernelFilter", model)
         for name in ("dynamics", "sensor"):
             part = getattr(model, name)
@@ -171,10 +169,10 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
             return replace(law, parts=Linearized(model.dynamics.means(law.parts.center, u, t), *shared).over(law.parts))
 
         def resampled(law: Mixture) -> Mixture:
-            return evolve(keys, self.scheme, self.policy, law, self.kernels.fitted(law, model.nonlinear))
+            return resample_and_move(keys, self.scheme, self.policy, law, self.kernels.fitted(law, model.nonlinear))
 
         due = t % (self.every or (10 if model.steady else 1)) == 0
-        moved = evolve(keys, self.scheme, Never(), state, move).gathered(model.circular)
+        moved = resample_and_move(keys, self.scheme, Never(), state, move).gathered(model.circular)
         return jax.lax.cond(due, resampled, lambda law: law, moved)
 
     def correct(self, key: jax.Array, model: LocalModel, state: Mixture, y: jax.Array, u: Any, t: Any) -> tuple[Mixture, Info]:
@@ -183,7 +181,7 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         example = state.parts.center[:, 0]
         shared = _once(t, lambda: slope_in(sensor, model.linear, example, u, t)) if model.plane else None
 
-        def judge(law: Mixture) -> tuple[Mixture, jax.Array, jax.Array]:
+        def likelihood_of(law: Mixture) -> tuple[Mixture, jax.Array, jax.Array]:
             X, R = law.parts.center, matrix_over(sensor.Q, law.parts.center, u, t)
             if self.slope == "sigma":
                 cov = law.parts.covariance
@@ -197,7 +195,7 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
             done = law.parts.corrected_in_turn(sensor.residual(y, prediction), parts, R, measured_in(y, R))
             return replace(law, parts=done.law), done.log_evidence, done.peak
 
-        after, info = reweigh(state, judge)
+        after, info = update_weights(state, likelihood_of)
         some = alarm.some_of(self.n)
         few = Gaussian(state.parts.center[:, some], state.parts.covariance[..., some])
         told = Taylor().through(sensor, few, u, t)

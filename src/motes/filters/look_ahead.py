@@ -16,7 +16,8 @@ from motes.core import random
 from motes.core.record import record, replace
 from motes.filters import alarm
 from motes.filters.alarm import Surprise
-from motes.filters.interface import Filter, Info, weigh
+from motes.filters.info import Info, weigh
+from motes.filters.interface import Filter
 from motes.filters.proposals import Proposal
 from motes.laws.cloud import Cloud
 from motes.models.state_space import StateSpaceModel
@@ -57,7 +58,7 @@ class LookAheadFilter(Filter):
         after, info, blind = self.ahead(key, model, state, y, u, t)
         refused = info.collapsed | jnp.all(jnp.isnan(y))
         before = blind() if self.gate is not None else jax.lax.cond(refused, blind, lambda: after)
-        return self.settle(before, after, info, y)
+        return self.accept(before, after, info, y)
 
 
 def keys_of(key: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -20,8 +20,10 @@ from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.alarm import Surprise
+from motes.filters.clouds import resample_and_move, update_weights
 from motes.filters.gated import Gated
-from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, reweigh, surprised
+from motes.filters.info import Info, surprised
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.sharp import ask_noise
 from motes.laws.circular import near, wrap
 from motes.laws.density import measured_in
@@ -113,13 +115,13 @@ class MarginalizedParticleFilter(Gated, TwoStageFilter):
             other = model.over("kalman", cloud.particles, example, u, t)
             return replace(cloud, kalman=cloud.kalman.through(other.A, other.f, other.Q))
 
-        return evolve(keys, self.scheme, self.policy, state, move if state.particles.shape[0] else predict_only)
+        return resample_and_move(keys, self.scheme, self.policy, state, move if state.particles.shape[0] else predict_only)
 
     def correct(self, key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.Array, u: Any, t: Any) -> tuple[MarginalCloud, Info]:
         """Weigh each particle by its predictive density of y, and correct its Gaussian."""
         example = state.particles[:, 0]
 
-        def judge(cloud: MarginalCloud) -> tuple[MarginalCloud, jax.Array, jax.Array]:
+        def likelihood_of(cloud: MarginalCloud) -> tuple[MarginalCloud, jax.Array, jax.Array]:
             if model.likelihood is not None:
                 whole = model.whole(cloud.particles)
                 return cloud, model.likelihood.log_prob(y, whole, u, t), model.likelihood.ceiling(y, whole, u, t)
@@ -129,7 +131,7 @@ class MarginalizedParticleFilter(Gated, TwoStageFilter):
             done = cloud.kalman.corrected(innovation, C, R, measured_in(y, R))
             return replace(cloud, kalman=done.law), done.log_evidence, done.peak
 
-        after, info = reweigh(state, judge)
+        after, info = update_weights(state, likelihood_of)
         return after, surprised(info, _surprise(key, model, state, y, u, t))
 
 

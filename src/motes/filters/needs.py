@@ -5,24 +5,11 @@ from typing import Any
 from motes.core import checks
 from motes.gaussian.rule import has_moments
 from motes.laws.conditional import Conditional, Custom
+from motes.models import jump_markov
+from motes.models.interface import Model
 from motes.models.jump_markov import JumpMarkovModel
-from motes.models.mixed_linear import MixedLinearModel
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, as_state_space
 from motes.models.structure import structure
-
-
-def as_state_space(asked_by: str, model: Any) -> StateSpaceModel:
-    """Return a state-space model, joining the parts of a mixed linear one.
-
-    Raises:
-        MotesError: the value is no model.
-    """
-    if isinstance(model, StateSpaceModel):
-        return model
-    if isinstance(model, MixedLinearModel):
-        return model.joined()
-    hint = "Use InteractingMultipleModel or JumpMarkovFilter, or give model.joined()." if isinstance(model, JumpMarkovModel) else ""
-    checks.refuse(f"{asked_by} model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__, hint)
 
 
 def as_particle_model(asked_by: str, model: Any, transition_density: bool) -> StateSpaceModel:
@@ -90,11 +77,10 @@ def as_jump_markov(asked_by: str, model: Any) -> JumpMarkovModel:
     Raises:
         MotesError: a mode has none, or the value is no model.
     """
-    if not isinstance(model, JumpMarkovModel):
-        return JumpMarkovModel([1.0], [[1.0]], as_moment_model(asked_by, model))
-    for part in model.models:
+    found = jump_markov.as_jump_markov(checks.instance(f"{asked_by} model", model, Model, "a model such as JumpMarkovModel"))
+    for part in found.models:
         _check_moments(asked_by, part)
-    return model
+    return found
 
 
 def _check_moments(asked_by: str, model: StateSpaceModel) -> None:

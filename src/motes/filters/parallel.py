@@ -12,18 +12,20 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg
 from motes.core.logspace import RunningSum
+from motes.core.loop import opened
 from motes.core.record import replace
 from motes.core.types import Inputs
 from motes.filters import alarm, keep, notices, precision
+from motes.filters.data import checked_data
 from motes.filters.history import Carry, History
-from motes.filters.interface import single
+from motes.filters.info import single
 from motes.filters.needs import as_linear_model
-from motes.filters.run import checked_data
 from motes.gaussian.taylor import Linear, affine
 from motes.laws.density import among, measured_in, zeroed
 from motes.laws.gaussian import Gaussian
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, at_step, driven
+from motes.models.interface import Model
+from motes.models.state_space import StateSpaceModel, at_step
 from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
 
@@ -50,11 +52,13 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
     """
     ys, inputs = checked_data(model, ys, inputs)
     known = canonical(model, jax.tree.map(one_of, inputs), one_of(ys))
-    found, exact = _run(known, ys, inputs, Beside(known))
+    exact, *found = _run(known, ys, inputs, Beside(known))
     if checks.is_concrete(exact) and bool(exact.any()):
         checks.refuse("run_in_parallel model", "noise of process or sensor in all that is measured (likelihoods of steps are joined)",
                       f"none at step {int(jnp.argmax(exact))}", "Use run with KalmanFilter.")
-    history = replace(found, label="KalmanFilter() in parallel")
+    traits = {"weighs": False, "subtracts": True, "circular": model.circular}
+    kept, info, last, rounding = found
+    history = History(kept, info, last, jnp.int32(0), model.names, "KalmanFilter() in parallel", rounding=rounding, **traits)
     if checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
         notices.warn(history, None)
@@ -62,8 +66,9 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
 
 
 @jitted
-def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[History, jax.Array]:
-    model, told = driven(model, inputs, ys)
+def _run(model: Model, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[Any, ...]:
+    model, drive = model.independent()
+    told = drive.over(inputs, ys)
     model = as_linear_model("run_in_parallel", model, at_step(told, 0))
     if model.sensor.angles:
         checks.refuse("run_in_parallel sensor", "no angles (they are wrapped about a prediction, which is not there yet)",
@@ -73,23 +78,21 @@ def _run(model: Any, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[His
     nothing = jnp.zeros_like(first.law.covariance)
     opening = _Element(nothing, first.law.center, first.law.covariance, jnp.zeros_like(first.law.center), nothing)
     others, exact = jax.vmap(lambda y, u, t: _element(model, y, u, t))(*jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
-    elements = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), opening, others)
+    elements = opened(opening, others)
     together = jax.lax.associative_scan(jax.vmap(_combined), elements)
 
     def judged(b: jax.Array, C: jax.Array, y: jax.Array, u: Any, t: jax.Array) -> Any:
         return Linear().measured(model.sensor, Linear().through(model.dynamics, Gaussian(b, C), u, t), y, u, t)
 
     later = jax.vmap(judged)(together.b[:-1], together.C[:-1], *jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
-    done = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, later)
+    done = opened(first, later)
     laws = done.law
     info = jax.vmap(single)(done)
     suspicion, rings = alarm.advanced_in_parallel(info.surprise, info.freedom)
     info = replace(info, alarm=rings)
     evidence = RunningSum(jnp.sum(done.log_evidence), jnp.zeros((), ys.dtype))
     last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, suspicion, ys[-1], at_step(inputs, -1), t[-1])
-    known = {"weighs": False, "subtracts": True, "rounding": precision.rounding(model, ys, at_step(told, 0)), "circular": model.circular}
-    history = History(jax.vmap(keep.moments)(laws), info, last, jnp.int32(0), model.names, "", **known)
-    return history, jnp.append(False, exact)
+    return jnp.append(False, exact), jax.vmap(keep.moments)(laws), info, last, precision.rounding(model, ys, at_step(told, 0))
 
 
 def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tuple[_Element, jax.Array]:

@@ -11,7 +11,9 @@ import jax
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, evolve, surprised
+from motes.filters.clouds import resample_and_move
+from motes.filters.info import Info, surprised
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_surprise
 from motes.filters.needs import as_particle_model
 from motes.filters.proposals import Proposal, as_proposal
@@ -94,7 +96,7 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
             return replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
 
         keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
-        return evolve(keys, self.scheme, self.policy, state, move)
+        return resample_and_move(keys, self.scheme, self.policy, state, move)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""

@@ -15,8 +15,9 @@ import numpy as np
 from motes.core import checks, logspace, pairs
 from motes.core.record import record, replace, static
 from motes.filters import alarm
-from motes.filters.interface import Guide, Info, TwoStageFilter, surprised, weigh
-from motes.filters.needs import as_state_space, ask_density
+from motes.filters.info import Info, surprised, weigh
+from motes.filters.interface import Guide, TwoStageFilter
+from motes.filters.needs import ask_density
 from motes.filters.sharp import ask_full_noise, ask_noise
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, matrix_over
@@ -24,7 +25,7 @@ from motes.laws.density import noiseless, slack
 from motes.laws.gaussian import Gaussian
 from motes.laws.grid_cloud import GridCloud
 from motes.laws.switching import SwitchingDynamics
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, as_state_space
 
 
 @record

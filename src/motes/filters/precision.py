@@ -9,8 +9,7 @@ from motes.core import linalg
 from motes.gaussian.rule import has_moments
 from motes.gaussian.taylor import affine
 from motes.laws.law import Foreign
-from motes.models.jump_markov import modes_of
-from motes.models.mixed_linear import MixedLinearModel
+from motes.models.interface import Model
 from motes.models.state_space import StateSpaceModel
 
 COARSE = 0.1
@@ -19,7 +18,7 @@ LOST = 0.05
 """Rounding of the prior variance of a measurement, in variances of its noise, from which on a corrected covariance is no longer right."""
 
 
-def rounding(model: Any, ys: jax.Array, u: Any) -> jax.Array:
+def rounding(model: Model, ys: jax.Array, u: Any) -> jax.Array:
     """Return how coarse numbers are for each measured component, `(2, y)`, as seen from the first state; zeros where it is not known.
 
     The first row is the spacing of numbers of the size of the data and of what the states contribute, in standard deviations of the noise;
@@ -30,7 +29,7 @@ def rounding(model: Any, ys: jax.Array, u: Any) -> jax.Array:
         ys: measurements `(t, y)`.
         u: inputs of the first step.
     """
-    models = [part.joined() if isinstance(part, MixedLinearModel) else part for part in modes_of(model)]
+    models = model.each_mode()
     found = [_of_one(part, ys, u) for part in models if has_moments(part.sensor) and not isinstance(part.initial, Foreign)]
     return jnp.max(jnp.stack(found), axis=0) if found else jnp.zeros((2, ys.shape[1]), ys.dtype)
 

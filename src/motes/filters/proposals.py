@@ -21,6 +21,7 @@ from motes.gaussian.taylor import affine
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over, over_particles
 from motes.laws.density import among, log_normal, log_normal_peak, noiseless
 from motes.laws.gaussian import Gaussian
+from motes.models.correlated import users
 from motes.models.state_space import StateSpaceModel
 from motes.models.structure import trace
 
@@ -83,8 +84,9 @@ class GivenProposal(Proposal):
 
     def proposed(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Proposed:
         """See `Proposal`."""
-        moved = self.law.sample(key, X, (u, y), t)
-        proposed = self.law.log_prob(moved, X, (u, y), t)
+        own = (users(u), y)
+        moved = self.law.sample(key, X, own, t)
+        proposed = self.law.log_prob(moved, X, own, t)
         likelihood = model.sensor.log_prob(y, moved, u, t) + model.dynamics.log_prob(moved, X, u, t) - proposed
         ceiling = model.sensor.ceiling(y, moved, u, t) + model.dynamics.ceiling(moved, X, u, t) - proposed
         return Proposed(moved, likelihood, ceiling)

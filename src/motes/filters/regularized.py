@@ -16,7 +16,9 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.filters.interface import Guide, Info, TwoStageFilter, by_likelihood, evolve
+from motes.filters.clouds import by_likelihood, resample_and_move
+from motes.filters.info import Info
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of, unguided
 from motes.filters.needs import as_particle_model
 from motes.filters.sharp import ask_noise
@@ -101,7 +103,7 @@ class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
             X = cloud.particles if smooth is None else smooth(random.child(noise_key, random.NOISE), cloud.particles)
             return replace(cloud, particles=model.dynamics.sample(noise_key, X, u, t))
 
-        moved = evolve(keys, self.scheme, self.policy, state, move)
+        moved = resample_and_move(keys, self.scheme, self.policy, state, move)
         if self.form == "post":
             return moved
         moved = moved.gathered(model.circular)

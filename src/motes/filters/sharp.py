@@ -9,7 +9,8 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.record import replace
-from motes.filters.interface import Info, by_likelihood
+from motes.filters.clouds import by_likelihood
+from motes.filters.info import Info
 from motes.filters.look_ahead import guided
 from motes.filters.proposals import OptimalProposal, Proposal
 from motes.laws.cloud import Cloud
@@ -18,14 +19,14 @@ from motes.laws.density import noiseless
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
 from motes.laws.switching import SwitchingSensor
-from motes.models.jump_markov import modes_of
+from motes.models.interface import Model
 from motes.models.state_space import StateSpaceModel
 
 CURE = ("Give it a little noise, or use a proposal (OptimalProposal) or a filter that conditions on it exactly (KalmanFilter, or "
         "MarginalizedParticleFilter with what is measured in its Kalman part).")  # fmt: skip
 
 
-def ask_noise(asked_by: str, model: Any, weighs: Callable[[], bool] = lambda: True) -> None:
+def ask_noise(asked_by: str, model: Model, weighs: Callable[[], bool] = lambda: True) -> None:
     """Refuse a sensor whose noise is known to leave out some component.
 
     Args:
@@ -36,8 +37,8 @@ def ask_noise(asked_by: str, model: Any, weighs: Callable[[], bool] = lambda: Tr
     Raises:
         MotesError: the message names the component and the cure.
     """
-    for part in modes_of(model):
-        component = _without(part.sensor) if isinstance(part, StateSpaceModel) and part.noise_cross_cov is None else None
+    for part in model.each_mode():
+        component = None if part.correlated else _without(part.sensor)
         if component is not None and weighs():
             checks.refuse(f"{asked_by} sensor", "noise in every component (particles are weighed by its density)",
                           f"none of its own in component {component}", CURE)

@@ -10,9 +10,11 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.types import Inputs, KeyLike
+from motes.filters.data import checked_data, refuse_infinite
 from motes.filters.history import Carry, History, ask_evidence
-from motes.filters.interface import Filter, Info
-from motes.filters.run import Engine, canonical_parts, checked_data, refuse_infinite
+from motes.filters.info import Info
+from motes.filters.interface import Filter
+from motes.filters.setup import Setup, canonical_parts, carry_like, setup
 from motes.io import archive
 from motes.io.members import Form
 from motes.models.canonical import shape_of
@@ -22,36 +24,37 @@ from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
 
 
-def _engine(form: Any, parts: list[Any]) -> Engine:
+def _ready(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Setup:
     # key, filter and model come as arrays and form: to take them apart anew at each step would cost more than many a filter does
-    return Engine(*jax.tree.unflatten(form[0], parts))
+    key, filter, model = jax.tree.unflatten(form[0], parts)
+    return setup(key, filter, model, u, y)
 
 
 @partial(jitted, static_argnums=0)
 def _begin(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Carry:
     with report.collected():
-        return _engine(form, parts).initial(u, y)
+        return _ready(form, parts, u, y).start(u, y)
 
 
 @partial(jitted, static_argnums=0)
 def _move(form: Any, parts: list[Any], carry: Carry, u: Inputs) -> Carry:
     with report.collected():
-        return _engine(form, parts).move(carry, u)
+        return _ready(form, parts, u, carry.y).predict(carry, u)
 
 
 @partial(jitted, static_argnums=0)
 def _take_in(form: Any, parts: list[Any], carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
     with report.collected() as notes:
-        engine = _engine(form, parts)
-        taken = engine.take_in(carry, y)
-        report.complete(notes, type(engine.filter).__name__)
+        ready = _ready(form, parts, carry.u, y)
+        taken = ready.update(carry, y)
+        report.complete(notes, type(ready.filter).__name__)
     return taken
 
 
 @partial(jitted, static_argnums=0)
 def _step(form: Any, parts: list[Any], carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
     with report.collected():
-        return _engine(form, parts).step(carry, y, u)
+        return _ready(form, parts, u, y).step(carry, y, u)
 
 
 @partial(jax.jit, static_argnames=("what",))
@@ -227,7 +230,7 @@ class Stream:
             stored = jax.tree.map(_shape, carry.get("u"), is_leaf=lambda leaf: isinstance(leaf, Form))
             u = stored if inputs is None else numbers_of("stream inputs", inputs)
             y = jax.ShapeDtypeStruct(carry["y"].shape, model.dtype)
-            return jax.eval_shape(lambda u, y: Engine(random.as_key(0), filter, model).initial(u, y), u, y)
+            return carry_like(filter, model, u, y)
 
         def check(forms: dict[str, Any], texts: dict[str, Any]) -> None:
             for name, own in (("filter", repr(filter)), ("names", list(model.names))):

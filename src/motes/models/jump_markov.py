@@ -17,14 +17,15 @@ from motes.core import checks
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.laws.switching import SwitchingDynamics, SwitchingLaw, SwitchingSensor, log_chances, transition_matrix
-from motes.models.state_space import StateSpaceModel, index_of, measurement_size
+from motes.models.interface import Model, Wrap, exchanged
+from motes.models.state_space import StateSpaceModel
 
 MODE = "mode"
 """Name of the last state of a joined model."""
 
 
 @record
-class JumpMarkovModel:
+class JumpMarkovModel(Model):
     """A system that jumps among modes.
 
     Attributes:
@@ -66,17 +67,12 @@ class JumpMarkovModel:
             object.__setattr__(self, name, value)
 
     @property
-    def size(self) -> int:
-        """Number of states, without the mode."""
-        return len(self.names)
-
-    @property
     def count(self) -> int:
         """Number m of modes."""
         return len(self.models)
 
     @property
-    def circular(self) -> tuple[int, ...]:
+    def circular(self) -> tuple[int, ...]:  # type: ignore[override]
         """Indices of the states that are angles, as the dynamics of any mode declare."""
         return tuple(sorted({a for model in self.models for a in model.circular}))
 
@@ -84,14 +80,6 @@ class JumpMarkovModel:
     def dtype(self) -> jnp.dtype:
         """Floating type of the states."""
         return self.models[0].dtype
-
-    def index(self, state: str | int) -> int:
-        """Return the index of a state given by name or index.
-
-        Raises:
-            MotesError: there is no such state.
-        """
-        return index_of(state, self.names)
 
     def log_transition(self, u: Any, t: Any) -> jax.Array:
         """Log probabilities `(m, m)` of going from the mode of a row at t - 1 to that of a column at t."""
@@ -108,11 +96,25 @@ class JumpMarkovModel:
         checks.shape("transition(u, t)", jnp.zeros(found.shape), (self.count, self.count), "(modes, modes)")
         for model in self.models:
             model.check(inputs_of_step)
-        sizes = {measurement_size(model, inputs_of_step) for model in self.models} - {None}
+        sizes = {model.measurement_size(inputs_of_step) for model in self.models} - {None}
         if len(sizes) > 1:
             checks.refuse("JumpMarkovModel models", "the same number of measured components in all modes", sorted(map(str, sizes)))
 
-    def joined(self) -> StateSpaceModel:
+    def measurement_size(self, inputs_of_step: Inputs) -> int | None:
+        """Return the number of measured components, which all modes share; None where only the data can tell."""
+        return self.models[0].measurement_size(inputs_of_step)
+
+    def each_mode(self) -> tuple[StateSpaceModel, ...]:
+        """Return the models of the modes."""
+        return self.models
+
+    def rebuilt(self, wrap: Wrap, u: Any, y: Any) -> "JumpMarkovModel":
+        """Exchange the functions of the chain and of all modes; see `Model`."""
+        models = tuple(model.rebuilt(wrap, u, y) for model in self.models)
+        transition = wrap.function(self.transition, (u, jax.ShapeDtypeStruct((), jnp.int32)), "transition(u, t)")
+        return exchanged(self, {"transition": transition, "models": models})
+
+    def as_state_space(self) -> StateSpaceModel:
         """Return the same system as a state-space model whose last state is the number of the mode, 0 to m - 1.
 
         A `ParticleFilter` can run it, a `PointMassFilter` too (one node for each mode), and `simulate` draws from it.
@@ -138,6 +140,6 @@ def _checked(name: str, value: Any, shape: tuple[int, ...], dtype: jnp.dtype) ->
     return array.astype(dtype)
 
 
-def modes_of(model: Any) -> tuple[Any, ...]:
-    """Return the models of all modes; of another kind of model, itself."""
-    return model.models if isinstance(model, JumpMarkovModel) else (model,)
+def as_jump_markov(model: Model) -> JumpMarkovModel:
+    """Return a jump-Markov model; any other model is one with a single mode."""
+    return model if isinstance(model, JumpMarkovModel) else JumpMarkovModel([1.0], [[1.0]], model.as_state_space())

@@ -8,9 +8,11 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, static
+from motes.core.types import Inputs
 from motes.laws.conditional import AdditiveGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law, as_law, drawn
+from motes.models.interface import Model, Wrap, exchanged
 from motes.models.state_space import StateSpaceModel
 
 
@@ -32,7 +34,7 @@ AffineFunction = Callable[[jax.Array, Any, Any], tuple[jax.Array, jax.Array, jax
 
 
 @record
-class MixedLinearModel:
+class MixedLinearModel(Model):
     """A model whose states are split into a particle part x_p and a Kalman part x_k.
 
     Attributes:
@@ -90,11 +92,6 @@ class MixedLinearModel:
         return drawn(self.initial_p).shape[0], self.initial_k.center.shape[0]
 
     @property
-    def size(self) -> int:
-        """Number of states."""
-        return len(self.names)
-
-    @property
     def dtype(self) -> jnp.dtype:
         """Floating type of the states."""
         return self.initial_k.center.dtype
@@ -104,7 +101,36 @@ class MixedLinearModel:
         """For each state in the user's order, its place in (x_p, x_k)."""
         return user_order(self.linear, self.size)
 
-    def joined(self) -> StateSpaceModel:
+    def check(self, inputs_of_step: Inputs) -> None:
+        """Run all functions on shapes alone and refuse what does not fit.
+
+        Raises:
+            MotesError: a function returns the wrong shape; the message names it.
+        """
+        (p, k), found = self.sizes, {name: self._shapes(name, inputs_of_step) for name in ("particle", "kalman", "sensor")}
+        for name, expected in (("particle", p), ("kalman", k), ("sensor", None)):
+            f, A, Q = found[name]
+            checks.shape(f"{name}(x_p, u, t) f", f, (expected,))
+            checks.shape(f"{name}(x_p, u, t) A", A, (f.shape[0], k), "(the size of its f, the size of x_k)")
+            checks.shape(f"{name}(x_p, u, t) Q", Q, (f.shape[0], f.shape[0]), "(the size of its f)")
+        if self.cross_cov is not None:
+            checks.shape("cross_cov(x_p, u, t)", self._shapes("cross_cov", inputs_of_step), (p, k), "(the sizes of x_p and x_k)")
+
+    def measurement_size(self, inputs_of_step: Inputs) -> int:
+        """Return the number of measured components."""
+        return self._shapes("sensor", inputs_of_step)[0].shape[0]
+
+    def _shapes(self, name: str, u: Inputs) -> Any:
+        x_p, t = jax.ShapeDtypeStruct((self.sizes[0],), self.dtype), jax.ShapeDtypeStruct((), jnp.int32)
+        return jax.eval_shape(lambda x_p, u, t: jax.tree.map(jnp.asarray, getattr(self, name)(x_p, u, t)), x_p, u, t)
+
+    def rebuilt(self, wrap: Wrap, u: Any, y: Any) -> "MixedLinearModel":
+        """Exchange the functions; see `Model`."""
+        args = (jax.ShapeDtypeStruct((self.sizes[0],), self.dtype), u, jax.ShapeDtypeStruct((), jnp.int32))
+        names = ("particle", "kalman", "sensor", "cross_cov")
+        return exchanged(self, {name: wrap.function(getattr(self, name), args, f"{name}(x_p, u, t)") for name in names})
+
+    def as_state_space(self) -> StateSpaceModel:
         """Return the same model as one state-space model in the user's order of states, for filters that do not split it."""
         back, p = self.order, self.sizes[0]
         kept = tuple(i for i in range(self.size) if i not in self.linear)

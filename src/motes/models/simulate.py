@@ -7,17 +7,18 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
+from motes.core.loop import loop, opened
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.laws.conditional import Custom
 from motes.models.canonical import canonical, one_of
-from motes.models.jump_markov import JumpMarkovModel
-from motes.models.state_space import Previous, StateSpaceModel, at_step, checked_inputs, decorrelated
+from motes.models.interface import Model
+from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
 from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
 
 
-def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:
+def simulate(key: KeyLike, model: Model, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:
     """Draw a trajectory and its measurements.
 
     Args:
@@ -39,7 +40,7 @@ def simulate(key: KeyLike, model: Any, steps: int, inputs: Inputs = None) -> tup
     return _simulate(key, known, steps, inputs, Beside(known))
 
 
-def measurements(key: KeyLike, model: Any, xs: jax.Array, inputs: Inputs = None) -> jax.Array:
+def measurements(key: KeyLike, model: Model, xs: jax.Array, inputs: Inputs = None) -> jax.Array:
     """Draw measurements of a given trajectory: those that `simulate` draws with this key, had it come along the same states.
 
     Args:
@@ -54,22 +55,18 @@ def measurements(key: KeyLike, model: Any, xs: jax.Array, inputs: Inputs = None)
     Raises:
         MotesError: the states have another shape, or the measurement noise is correlated with that of the process, which these states fix.
     """
-    if getattr(model, "noise_cross_cov", None) is not None:
+    if model.correlated:
         checks.refuse("model", "measurement noise that is independent of the process noise, where states are given", "noise_cross_cov")
-    model = _with_mode(model)
+    size = model.as_state_space().size
     xs = checks.as_float("xs", xs).astype(model.dtype)
-    checks.shape("xs", xs, (None, model.size), "(steps, states)")
+    checks.shape("xs", xs, (None, size), "(steps, states)")
     inputs = checked_inputs(inputs, xs.shape[0], "xs")
     known = _drawn_from(model, inputs)
     return _measurements(random.as_key(key), known, xs, inputs, Beside(known))
 
 
-def _with_mode(model: Any) -> Any:
-    return model.joined() if isinstance(model, JumpMarkovModel) else model
-
-
-def _drawn_from(model: Any, inputs: Inputs) -> Any:
-    model = canonical(_with_mode(model), jax.tree.map(one_of, inputs))
+def _drawn_from(model: Model, inputs: Inputs) -> Model:
+    model = canonical(model, jax.tree.map(one_of, inputs))
     if isinstance(model, StateSpaceModel) and isinstance(model.sensor, Custom):
         # a density that is not needed here must not decide what is compiled
         model = replace(model, sensor=replace(model.sensor, density=None))
@@ -82,32 +79,30 @@ def _measured(key: jax.Array, model: StateSpaceModel, x: jax.Array, u: Inputs, t
 
 
 @jitted
-def _measurements(key: jax.Array, given: Any, xs: jax.Array, inputs: Inputs, beside: Beside) -> jax.Array:
-    model = given if isinstance(given, StateSpaceModel) else given.joined()
+def _measurements(key: jax.Array, given: Model, xs: jax.Array, inputs: Inputs, beside: Beside) -> jax.Array:
+    model = given.as_state_space()
     key = random.child(key, random.NOISE)
     steps = jnp.arange(xs.shape[0], dtype=jnp.int32)
     return jax.lax.map(lambda now: _measured(key, model, *now), (xs, inputs, steps))
 
 
 @partial(jitted, static_argnames=("steps",))
-def _simulate(key: jax.Array, given: Any, steps: int, inputs: Inputs, beside: Beside) -> tuple[jax.Array, jax.Array]:
-    model = given if isinstance(given, StateSpaceModel) else given.joined()
-    model.check(at_step(inputs, 0))
+def _simulate(key: jax.Array, given: Model, steps: int, inputs: Inputs, beside: Beside) -> tuple[jax.Array, jax.Array]:
+    given.check(at_step(inputs, 0))
+    model: StateSpaceModel = given.as_state_space()
     # a filter that is given the same key must not draw the truth as its first particle
     key = random.child(key, random.NOISE)
-    separate = decorrelated(model)
-    correlated = model.noise_cross_cov is not None
+    separate, drive = model.independent()
 
     def advance(carry: tuple[jax.Array, jax.Array], t: jax.Array) -> tuple[Any, Any]:
         x, y = carry
         u = at_step(inputs, t)
-        driven = Previous(u, at_step(inputs, t - 1), y) if correlated else u
         keyed = random.child(random.step_key(key, t), random.PREDICT)
-        x = separate.dynamics.sample(keyed, x[:, None], driven, t)[:, 0]
+        x = separate.dynamics.sample(keyed, x[:, None], drive.of(u, at_step(inputs, t - 1), y), t)[:, 0]
         y = _measured(key, model, x, u, t)
         return (x, y), (x, y)
 
     x = model.initial.sample(random.child(random.step_key(key, 0), random.INITIAL), 1)[:, 0]
     y = _measured(key, model, x, at_step(inputs, 0), jnp.int32(0))
-    _, (xs, ys) = jax.lax.scan(advance, (x, y), jnp.arange(1, steps, dtype=jnp.int32))
-    return jnp.concatenate([x[None], xs]), jnp.concatenate([y[None], ys])
+    _, rest = loop(advance, (x, y), jnp.arange(1, steps, dtype=jnp.int32))
+    return opened((x, y), rest)

@@ -12,7 +12,7 @@ from motes.core.types import Inputs
 from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.gaussian import Gaussian
 from motes.models.mixed_linear import Affine, MixedLinearModel, user_order
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, as_state_space
 from motes.models.structure import Traced, clash, largest, mixed_uses, trace, varying
 
 
@@ -77,22 +77,19 @@ def split(model: Any, linear: tuple[str | int, ...] | None, inputs: Inputs) -> S
     """Split a model into particle and Kalman parts.
 
     Args:
-        model: state-space model, mixed linear model, or a split one (returned as it is).
+        model: a model without modes.
         linear: states for the Kalman part by name or index; None for the largest possible set.
         inputs: example of the inputs of one step.
 
     Raises:
         MotesError: the states are not conditionally linear-Gaussian; the message names the function and the states.
     """
-    if isinstance(model, SplitModel):
-        return model
     if isinstance(model, MixedLinearModel):
-        if linear is not None and {model.joined().index(state) for state in linear} != set(model.linear):
-            return split(model.joined(), linear, inputs)
+        if linear is not None and {model.index(state) for state in linear} != set(model.linear):
+            return split(model.as_state_space(), linear, inputs)
         varies = _mixed_varies(model, inputs)
         return SplitModel(model, None, varies, bool(varies), True)
-    if not isinstance(model, StateSpaceModel):
-        checks.refuse("MarginalizedParticleFilter model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__)
+    model = as_state_space("MarginalizedParticleFilter", model)
     traced = trace(model, inputs)
     chosen = largest(traced, model.size) if linear is None else _asked_for(traced, model, linear)
     moving = {name for name, uses in varying(traced, chosen, model.size).items() if uses[: model.size].any()}

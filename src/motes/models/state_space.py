@@ -5,22 +5,24 @@
 The first measurement y_0 is of x_0, before any dynamics.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, linalg, random
+from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, MatrixLike
 from motes.laws.circular import near
-from motes.laws.conditional import AdditiveGaussian, Conditional, Custom, check_matrix, matrix
+from motes.laws.conditional import AdditiveGaussian, Conditional, Custom, check_matrix
 from motes.laws.law import Law, as_law, check_size, drawn
+from motes.models.correlated import Drive, decorrelated
+from motes.models.interface import Model, Wrap, exchanged
 
 
 @record
-class StateSpaceModel:
+class StateSpaceModel(Model):
     """What the world does.
 
     Attributes:
@@ -69,36 +71,28 @@ class StateSpaceModel:
             object.__setattr__(self, name, value)
 
     @property
-    def size(self) -> int:
-        """Number of states."""
-        return len(self.names)
-
-    @property
     def dtype(self) -> jnp.dtype:
         """Floating type of the states."""
         return drawn(self.initial).dtype
 
     @property
-    def circular(self) -> tuple[int, ...]:
+    def circular(self) -> tuple[int, ...]:  # type: ignore[override]
         """Indices of the states that are angles, as the dynamics declare."""
         return tuple(sorted({int(a) % self.size for a in self.dynamics.angles}))
 
     @property
-    def modes(self) -> int:
+    def modes(self) -> int:  # type: ignore[override]
         """Number of modes, the index of which is the last state, of a joined jump-Markov model; 0 of any other."""
         return self.dynamics.modes
+
+    @property
+    def correlated(self) -> bool:  # type: ignore[override]
+        """Whether process and measurement noise are correlated."""
+        return self.noise_cross_cov is not None
 
     def initial_log_prob(self, X: jax.Array) -> jax.Array:
         """Log density of x_0 at `(x,)` or `(x, n)`; states that are angles may be given on any branch."""
         return self.initial.log_prob(near(X, self.initial.mean(), self.circular) if self.circular else X)
-
-    def index(self, state: str | int) -> int:
-        """Return the index of a state given by name or index.
-
-        Raises:
-            MotesError: there is no such state.
-        """
-        return index_of(state, self.names)
 
     def check(self, inputs_of_step: Inputs) -> None:
         """Run dynamics and sensor on shapes alone and refuse what does not fit.
@@ -120,6 +114,33 @@ class StateSpaceModel:
                 found = jax.eval_shape(lambda x, u, t, part=part: part.sample(random.as_key(0), x[:, None], u, t), x, inputs_of_step, t)
                 checks.shape(f"{name} sample(key, x, u, t)", jnp.zeros(found.shape[:-1]), (expected,))
 
+    def measurement_size(self, inputs_of_step: Inputs) -> int | None:
+        """Return the number of measured components, or None where only the data can tell (a custom density)."""
+        if not hasattr(self.sensor, "f"):
+            return None
+        x = jax.ShapeDtypeStruct((self.size,), self.dtype)
+        return _predicted(self.sensor, x, inputs_of_step, jax.ShapeDtypeStruct((), jnp.int32))[0]
+
+    def as_state_space(self) -> "StateSpaceModel":
+        """Return the model itself."""
+        return self
+
+    def rebuilt(self, wrap: Wrap, u: Any, y: Any) -> "StateSpaceModel":
+        """Exchange the functions of dynamics, sensor and cross-covariance; see `Model`."""
+        x, t = jax.ShapeDtypeStruct((self.size,), self.dtype), jax.ShapeDtypeStruct((), jnp.int32)
+        return exchanged(self, {
+            "dynamics": wrap.conditional("dynamics", self.dynamics, x, u, x),
+            "sensor": wrap.conditional("sensor", self.sensor, x, u, y),
+            "noise_cross_cov": wrap.function(self.noise_cross_cov, (x, u, t), "noise_cross_cov(x, u, t)"),
+        })
+
+    def independent(self) -> tuple["StateSpaceModel", Drive]:
+        """Return the model with independent noises, and what makes its inputs; see `Model`."""
+        if self.noise_cross_cov is None:
+            return self, Drive()
+        dynamics, sensor = decorrelated(self.dynamics, self.sensor, self.noise_cross_cov)  # type: ignore[arg-type]
+        return replace(self, dynamics=dynamics, sensor=sensor, noise_cross_cov=None), Drive(correlated=True)
+
 
 def _predicted(part: Any, x: Any, u: Any, t: Any) -> tuple[int, ...]:
     """Shape of what the function of a conditional returns."""
@@ -127,22 +148,22 @@ def _predicted(part: Any, x: Any, u: Any, t: Any) -> tuple[int, ...]:
     return jax.eval_shape(lambda x, u, t: jnp.asarray(of_f(x, u, t)), x, u, t).shape
 
 
-def circular(model: Any) -> tuple[int, ...]:
-    """Return the indices of the states that are angles, of a model in any form that declares them; none of another."""
-    return getattr(model, "circular", ())
+def as_state_space(asked_by: str, model: Any) -> StateSpaceModel:
+    """Return a model as a state-space model with the same states.
 
-
-def index_of(state: str | int, names: tuple[str, ...]) -> int:
-    """Return the index of a state given by name or index.
+    Args:
+        asked_by: who asks, for the message.
+        model: a model of any kind.
 
     Raises:
-        MotesError: there is no such state.
+        MotesError: the value is no model, or its modes would be one more state.
     """
-    if isinstance(state, str) and state in names:
-        return names.index(state)
-    if not isinstance(state, str) and -len(names) <= state < len(names):
-        return int(state) % len(names)
-    checks.refuse("state", f"one of the names {', '.join(names)} or an index below {len(names)}", repr(state))
+    wanted = "a StateSpaceModel or a MixedLinearModel"
+    found = checks.instance(f"{asked_by} model", model, Model, wanted).as_state_space()
+    if found.size != model.size:
+        hint = "Use InteractingMultipleModel or JumpMarkovFilter, or give model.as_state_space()."
+        checks.refuse(f"{asked_by} model", wanted, type(model).__name__, hint)
+    return found
 
 
 def _check_moments(name: str, part: AdditiveGaussian, x: Any, u: Any, t: Any, expected: int | None) -> None:
@@ -168,72 +189,6 @@ def _checked_cross_cov(value: MatrixLike, dynamics: Conditional, sensor: Conditi
         joint = jnp.block([[dynamics.Q, value], [value.T, sensor.Q]])  # type: ignore[list-item]
         checks.covariance("noise_cross_cov (with Q and R as one joint covariance)", joint, size + value.shape[1])
     return value
-
-
-class Previous(NamedTuple):
-    """Inputs of a step whose process noise knows the measurement before it."""
-
-    now: Inputs
-    before: Inputs
-    y: jax.Array
-
-
-def decorrelated(model: StateSpaceModel) -> StateSpaceModel:
-    """Return a model with independent noises that is equivalent given the measurements; its inputs are `Previous`.
-
-    With S the cross-covariance, the dynamics become x_t = f(x_{t-1}) + S R^-1 (y_{t-1} - h(x_{t-1})) + w, where w has the covariance
-    Q - S R^-1 S' and is independent of all measurement noise (Gram-Schmidt; paper 000, after its equation 5).
-    """
-    cross_cov, dynamics, sensor = model.noise_cross_cov, model.dynamics, model.sensor
-    if cross_cov is None:
-        return model
-
-    def gain(x: jax.Array, u: Previous, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return S R^-1 `(x, y)` with unseen components left out, the innovation, and S."""
-        seen = ~jnp.isnan(u.y)
-        innovation = jnp.where(seen, sensor.residual(u.y, sensor.mean(x, u.before, t - 1)), 0)
-        S = jnp.where(seen[None, :], matrix(cross_cov, x, u.now, t), 0)
-        R = jnp.where(seen[:, None] & seen[None, :], sensor.cov(x, u.before, t - 1), jnp.eye(seen.shape[0], dtype=x.dtype))
-        return linalg.solve(linalg.cholesky(R), S.T).T, innovation, S
-
-    def mean(x: jax.Array, u: Previous, t: Any) -> jax.Array:
-        pull, innovation, _ = gain(x, u, t)
-        return dynamics.mean(x, u.now, t) + pull @ innovation
-
-    def cov(x: jax.Array, u: Previous, t: Any) -> jax.Array:
-        pull, _, S = gain(x, u, t)
-        return dynamics.cov(x, u.now, t) - linalg.symmetric(pull @ S.T)
-
-    seen_now = AdditiveGaussian(
-        lambda x, u, t: sensor.mean(x, u.now, t),
-        (lambda x, u, t: sensor.cov(x, u.now, t)) if callable(sensor.Q) else sensor.Q,  # type: ignore[attr-defined]
-        sensor.angles,
-    )
-    return replace(model, dynamics=AdditiveGaussian(mean, cov, dynamics.angles), sensor=seen_now, noise_cross_cov=None)
-
-
-def driven(model: Any, inputs: Inputs, ys: jax.Array | None) -> tuple[Any, Inputs]:
-    """Return a model with independent noises and the inputs of each of its steps, `Previous` where the noises were correlated.
-
-    Args:
-        model: any model; one with correlated noises needs the measurements.
-        inputs: tree with the time axis first.
-        ys: measurements `(t, y)`, or None.
-    """
-    if not isinstance(model, StateSpaceModel) or model.noise_cross_cov is None or ys is None:
-        return model, inputs
-    before, y_before = (jax.tree.map(lambda leaf: jnp.concatenate([leaf[:1], leaf[:-1]]), tree) for tree in (inputs, ys))
-    return decorrelated(model), Previous(inputs, before, y_before)
-
-
-def measurement_size(model: StateSpaceModel, inputs_of_step: Inputs) -> int | None:
-    """Number of measured components, or None where only the data can tell (a custom density)."""
-    part = model.sensor
-    if not hasattr(part, "f"):
-        return None
-    x = jax.ShapeDtypeStruct((model.size,), model.dtype)
-    t = jax.ShapeDtypeStruct((), jnp.int32)
-    return _predicted(part, x, inputs_of_step, t)[0]
 
 
 def at_step(rows: Any, step: jax.Array | int) -> Any:

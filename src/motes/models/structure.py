@@ -12,14 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.laws.conditional import AdditiveGaussian, Conditional, Custom
 from motes.laws.gaussian import Gaussian
 from motes.models.canonical import canonical
 from motes.models.mixed_linear import MixedLinearModel
-from motes.models.state_space import Previous, StateSpaceModel, decorrelated, measurement_size
+from motes.models.state_space import StateSpaceModel, as_state_space
 from motes.tracing.affinity import dependence
 
 SHARED, TIME_VARYING, PER_PARTICLE = "shared", "time-varying", "per-particle"
@@ -85,11 +84,11 @@ def structure(model: StateSpaceModel, inputs: Inputs = None) -> Structure:
     """
     if isinstance(model, MixedLinearModel):
         return Structure(model.linear, model.names, _mixed_covariance(model, inputs), ())
-    if not isinstance(model, StateSpaceModel):
-        checks.refuse("structure model", "a StateSpaceModel or a MixedLinearModel", type(model).__name__)
-    if model.noise_cross_cov is not None:
-        size = measurement_size(model, inputs) or 0
-        return structure(decorrelated(model), Previous(inputs, inputs, jnp.zeros((size,), model.dtype)))
+    model = as_state_space("structure", model)
+    if model.correlated:
+        nothing = jnp.zeros((model.measurement_size(inputs) or 0,), model.dtype)
+        model, drive = model.independent()
+        inputs = drive.of(inputs, inputs, nothing)
     traced = trace(canonical(model, inputs), inputs)
     best = largest(traced, model.size)
     return Structure(best, model.names, _covariance(traced, best, model.size), _reasons(traced, best, model.names))

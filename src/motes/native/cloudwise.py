@@ -58,8 +58,8 @@ class Parts:
         return jax.tree.unflatten(self.tree, leaves)
 
 
-def evolve(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, cloud: Any, move: Callable[[Any, Any], Any]) -> Any:
-    """Resample where the policy says so and move, fused; None where that cannot be. See `filters.interface.evolve`."""
+def resample_and_move(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, cloud: Any, move: Callable[[Any, Any], Any]) -> Any:
+    """Resample where the policy says so and move, fused; None where that cannot be. See `filters.clouds`."""
     parts = _parts("move", cloud)
     if parts is None:
         return None
@@ -87,14 +87,14 @@ def evolve(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, cloud: Any, mo
     return replace(parts.together(cloud, [*moved, *stage.rest]), log_weights=log_weights, **marks)
 
 
-def reweigh(cloud: Any, judge: Callable[[Any], tuple[Any, jax.Array, jax.Array]]) -> tuple[Any, jax.Array] | None:
-    """Correct and weigh, fused; None where that cannot be. See `filters.interface.reweigh`."""
+def update_weights(cloud: Any, likelihood_of: Callable[[Any], tuple[Any, jax.Array, jax.Array]]) -> tuple[Any, jax.Array] | None:
+    """Correct and weigh, fused; None where that cannot be. See `filters.clouds`."""
     parts = _parts("weigh", cloud)
     if parts is None:
         return None
 
     def function(*lanes: jax.Array) -> list[jax.Array]:
-        after, likelihood, ceiling = judge(parts.cloud(lanes))
+        after, likelihood, ceiling = likelihood_of(parts.cloud(lanes))
         return [likelihood, ceiling, *parts.apart(after)]
 
     stage = _attempt("weigh", judgement, function, parts)

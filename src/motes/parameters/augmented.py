@@ -6,10 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
-from motes.filters.needs import as_state_space
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Custom
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, as_state_space
 from motes.parameters.posterior import Parametric
 
 
@@ -36,7 +35,7 @@ def augmented(given: Parametric, thetas: jax.Array, key: jax.Array, deviations: 
     def judged(y: jax.Array, z: jax.Array, u: Any, t: Any) -> jax.Array:
         return of(z).sensor.log_prob(y, z[size:, None], u, t)[0]
 
-    if of(thetas[:, 0]).noise_cross_cov is not None:
+    if of(thetas[:, 0]).correlated:
         checks.refuse("parameters model", "measurement noise that is independent of the process noise", "noise_cross_cov",
                       "Use PMMH, particle Gibbs or smc_squared.")
     keys = random.step_keys(key, n)

@@ -15,9 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, linalg, random
+from motes.core.loop import loop, opened
 from motes.core.record import replace
 from motes.core.types import KeyLike
-from motes.filters.interface import weigh
+from motes.filters.info import weigh
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.models.state_space import at_step
 from motes.parameters.augmented import augmented
@@ -97,5 +98,5 @@ def _filtered(key: jax.Array, given: Parametric, n: int, a: Any, beside: Beside)
         return weighed(Cloud(moved, cloud.log_weights, cloud.ancestors), t)
 
     cloud, first = weighed(Cloud.equal(model.initial.particles), 0)  # type: ignore[attr-defined]
-    cloud, rest = jax.lax.scan(ahead, cloud, jnp.arange(1, given.ys.shape[0], dtype=jnp.int32))
-    return cloud, jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, rest)
+    cloud, rest = loop(ahead, cloud, jnp.arange(1, given.ys.shape[0], dtype=jnp.int32))
+    return cloud, opened(first, rest)

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
+from motes.core.loop import loop
 from motes.core.record import record, static
 from motes.filters.needs import as_particle_model, ask_density
 from motes.laws.cloud import draw
@@ -71,7 +72,7 @@ class ParticleGibbs(DrawsPaths):
         opening = random.step_key(key, 0)
         first = model.initial.sample(random.child(opening, random.INITIAL), self.n).at[:, 0].set(old[0])
         steps = jnp.arange(1, old.shape[0], dtype=jnp.int32)
-        (_, log_weights), (clouds, ancestors) = jax.lax.scan(ahead, (first, weighed(first, 0)), steps)
+        (_, log_weights), (clouds, ancestors) = loop(ahead, (first, weighed(first, 0)), steps)
         chosen = draw(random.child(opening, random.RESAMPLE), log_weights, 1)[0]
 
         def back(own: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
+from motes.core.loop import loop, opened
 from motes.core.record import record
-from motes.filters.needs import as_state_space
 from motes.mcmc.interface import Info, Kernel, Position, State
-from motes.models.state_space import StateSpaceModel, at_step, driven
+from motes.models.state_space import StateSpaceModel, as_state_space, at_step
 from motes.parameters.posterior import Parametric
 from motes.smoothers.parents import Move
 
@@ -26,7 +26,8 @@ class PathPosterior(Parametric):
 
     def at(self, theta: jax.Array) -> tuple[StateSpaceModel, Any]:
         """Return the model of these parameters, its noises independent, and the inputs of its steps."""
-        return driven(as_state_space("PathPosterior", self.model(theta)), self.inputs, self.ys)
+        model, drive = as_state_space("PathPosterior", self.model(theta)).independent()
+        return model, drive.over(self.inputs, self.ys)
 
     def __call__(self, position: dict[str, jax.Array]) -> jax.Array:
         """Return log p(theta) + log p(path | theta) + log p(ys | path, theta)."""
@@ -54,8 +55,8 @@ class PathPosterior(Parametric):
             x = model.dynamics.sample(random.step_key(key, t), x, at_step(inputs, t), t)
             return x, x[:, 0]
 
-        _, rest = jax.lax.scan(ahead, first, jnp.arange(1, self.ys.shape[0], dtype=jnp.int32))
-        return {"theta": theta, "path": jnp.concatenate([first.T, rest])}
+        _, rest = loop(ahead, first, jnp.arange(1, self.ys.shape[0], dtype=jnp.int32))
+        return {"theta": theta, "path": opened(first[:, 0], rest)}
 
 
 class DrawsPaths(Kernel):

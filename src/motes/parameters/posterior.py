@@ -9,8 +9,9 @@ import jax.numpy as jnp
 from motes.core import checks, random, told
 from motes.core.record import record, replace, static
 from motes.filters import keep
+from motes.filters.data import checked_data
 from motes.filters.interface import Filter
-from motes.filters.run import checked_data, run
+from motes.filters.run import run
 from motes.laws.law import Law, as_law, drawn
 from motes.models.state_space import StateSpaceModel
 

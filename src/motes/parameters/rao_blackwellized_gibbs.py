@@ -14,15 +14,15 @@ import jax.numpy as jnp
 from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.filters import keep
-from motes.filters.interface import Info, TwoStageFilter
+from motes.filters.info import Info
+from motes.filters.interface import TwoStageFilter
 from motes.filters.marginalized import MarginalizedParticleFilter, moved
-from motes.filters.needs import as_state_space
 from motes.filters.run import run
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.mcmc.interface import LogDensity, Position
 from motes.models.mixed_linear import initial_means
 from motes.models.split import SplitModel, split
-from motes.models.state_space import at_step
+from motes.models.state_space import as_state_space, at_step
 from motes.parameters.paths import DrawsPaths, PathPosterior
 from motes.resampling.schemes import Multinomial
 from motes.smoothers.rao_blackwellized import RaoBlackwellizedSmoother

@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, logspace, random
+from motes.core.loop import loop
 from motes.core.progress import tracked
 from motes.core.types import KeyLike
 from motes.filters.history import Carry
-from motes.filters.run import Engine
+from motes.filters.setup import Setup, setup
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.mcmc.interface import State, settle
 from motes.mcmc.metropolis import RandomWalkMetropolis
@@ -89,17 +90,18 @@ def smc_squared(key: KeyLike, posterior: Posterior, n: int, moves: int = 3, ess:
     return Sequential(cloud, *(np.array(column) for column in zip(*told, strict=True)))
 
 
-def _begin(posterior: Posterior, key: jax.Array, theta: jax.Array) -> Carry:
+def _ready(posterior: Posterior, key: jax.Array, theta: jax.Array) -> Setup:
+    return setup(key, posterior.filter, posterior.model(theta), at_step(posterior.inputs, 0), posterior.ys[0])
+
+
+def _begin(posterior: Posterior, ready: Setup) -> Carry:
     """Return the filter before the first measurement."""
-    engine = Engine(key, posterior.filter, posterior.model(theta))
-    return engine.initial(at_step(posterior.inputs, 0), posterior.ys[0])
+    return ready.start(at_step(posterior.inputs, 0), posterior.ys[0])
 
 
-def _next(posterior: Posterior, key: jax.Array, theta: jax.Array, carry: Carry, t: Any) -> tuple[Carry, jax.Array]:
+def _next(ready: Setup, carry: Carry, y: jax.Array, u: Any, t: Any) -> tuple[Carry, jax.Array]:
     """Take in the measurement of step t; return its log evidence too."""
-    engine = Engine(key, posterior.filter, posterior.model(theta))
-    y, u = posterior.ys[t], at_step(posterior.inputs, t)
-    carry, info = jax.lax.cond(t == 0, lambda: engine.take_in(carry, y), lambda: engine.step(carry, y, u))
+    carry, info = jax.lax.cond(t == 0, lambda: ready.update(carry, y), lambda: ready.step(carry, y, u))
     return carry, jnp.where(info.collapsed, -jnp.inf, info.log_evidence)
 
 
@@ -108,7 +110,7 @@ def _begun(posterior: Posterior, thetas: jax.Array, keys: jax.Array, beside: Bes
     """Return what each parameter carries along: itself, its log posterior so far, its filter."""
 
     def one(theta: jax.Array, key: jax.Array) -> State:
-        return State(theta, posterior.prior.log_prob(theta), (key, _begin(posterior, key, theta)))
+        return State(theta, posterior.prior.log_prob(theta), (key, _begin(posterior, _ready(posterior, key, theta))))
 
     return jax.vmap(one)(thetas, keys)
 
@@ -119,7 +121,7 @@ def _taken_in(
 ) -> tuple[State, jax.Array, jax.Array]:
     def one(state: State) -> tuple[State, jax.Array]:
         key, carry = state.memory
-        carry, gain = _next(posterior, key, state.position, carry, t)
+        carry, gain = _next(_ready(posterior, key, state.position), carry, posterior.ys[t], at_step(posterior.inputs, t), t)
         return State(state.position, state.log_density + gain, (key, carry)), gain
 
     state, gains = jax.vmap(one)(state)
@@ -149,13 +151,15 @@ def _once(
     def one(key: jax.Array, state: State) -> tuple[State, jax.Array]:
         theta, _ = walk.proposed(random.child(key, random.NOISE), state.position, t)
         fresh = random.child(key, random.FILTER)
+        ready = _ready(posterior, fresh, theta)
 
-        def advance(step: jax.Array, held: tuple[Carry, jax.Array]) -> tuple[Carry, jax.Array]:
-            carry, gain = _next(posterior, fresh, theta, held[0], step)
-            return carry, held[1] + gain
+        def advance(held: tuple[Carry, jax.Array], row: Any) -> tuple[tuple[Carry, jax.Array], None]:
+            carry, gain = _next(ready, held[0], *row)
+            return (carry, held[1] + gain), None
 
-        begun = (_begin(posterior, fresh, theta), jnp.zeros_like(state.log_density))
-        carry, likelihood = jax.lax.fori_loop(0, t + 1, advance, begun)
+        begun = (_begin(posterior, ready), jnp.zeros_like(state.log_density))
+        steps = jnp.arange(posterior.ys.shape[0], dtype=jnp.int32)
+        (carry, likelihood), _ = loop(advance, begun, (posterior.ys, posterior.inputs, steps), count=t + 1)
         prior = posterior.prior.log_prob(theta)
         density = jnp.where(jnp.isfinite(prior), prior + likelihood, -jnp.inf)
         state, info = settle(random.child(key, random.UPDATE), state, State(theta, density, (fresh, carry)), density - state.log_density)

@@ -9,8 +9,8 @@ from motes.core.types import Inputs
 from motes.filters.extended_kalman import ExtendedKalmanFilter
 from motes.filters.interface import Filter
 from motes.filters.marginalized import MarginalizedParticleFilter
-from motes.filters.needs import as_state_space
 from motes.filters.particle import ParticleFilter
+from motes.models.state_space import as_state_space
 from motes.models.structure import structure
 
 FEW = 4

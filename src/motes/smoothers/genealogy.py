@@ -13,9 +13,8 @@ import jax.numpy as jnp
 from motes.core import checks
 from motes.core.record import record, static
 from motes.filters.history import History
-from motes.filters.needs import as_state_space
 from motes.laws.cloud import Cloud
-from motes.models.state_space import StateSpaceModel, at_step
+from motes.models.state_space import StateSpaceModel, as_state_space, at_step
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws, summed_up
 
 

@@ -15,11 +15,13 @@ import jax.numpy as jnp
 
 from motes.core import checks, random, sums
 from motes.core.record import record, static
-from motes.filters.interface import Filter, Guide, Info
+from motes.filters.info import Info
+from motes.filters.interface import Filter, Guide
 from motes.filters.particle import ParticleFilter
 from motes.filters.sharp import ask_noise
 from motes.laws.cloud import Cloud
 from motes.laws.law import Law
+from motes.models.correlated import users
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import ESS, Policy
 from motes.resampling.schemes import Scheme, Systematic
@@ -154,6 +156,6 @@ class PaRIS(Filter):
         return AdditiveCloud(cloud, jnp.mean(sums, axis=1)), info
 
     def _added(self, before: jax.Array, after: jax.Array, u: Any, t: Any) -> jax.Array:
-        added = jnp.asarray(self.function(before, after, u, t)).astype(after.dtype)
+        added = jnp.asarray(self.function(before, after, users(u), t)).astype(after.dtype)
         checks.shape("PaRIS function", added, (self.size,), "(the size given)")
         return added

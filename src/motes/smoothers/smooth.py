@@ -9,10 +9,11 @@ import numpy as np
 from motes.core import checks, random
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
+from motes.filters.data import checked_data
 from motes.filters.history import History
-from motes.filters.run import checked_data
 from motes.models.canonical import canonical, one_of
-from motes.models.state_space import StateSpaceModel, at_step, checked_inputs, driven
+from motes.models.interface import Model
+from motes.models.state_space import at_step, checked_inputs
 from motes.smoothers.interface import Smoothed, Smoother, Steps
 from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
@@ -40,6 +41,7 @@ def smooth(
         checks.refuse("smooth smoother", "a smoother such as RauchTungStriebelSmoother()", type(smoother).__name__)
     if not isinstance(history, History):
         checks.refuse("smooth history", "what mo.run gave", type(history).__name__)
+    checks.instance("smooth model", model, Model, "the model of the run")
     if isinstance(history.state, dict):
         checks.refuse("smooth history", "a history whose laws are known", "one from a file that does not name their kind",
                       "Smooth before saving, or run anew.")
@@ -48,7 +50,7 @@ def smooth(
     if ys is not None:
         ys, inputs = checked_data(model, ys, inputs)
         checks.shape("smooth ys", ys, (count, history.last.y.shape[0]), "(as in the run)")
-    elif isinstance(model, StateSpaceModel) and model.noise_cross_cov is not None:
+    elif model.correlated:
         checks.refuse("smooth ys", "the measurements of the run (its noises are correlated)", "None")
     known = canonical(model, jax.tree.map(one_of, inputs), history.last.y)
     # the label says with which knobs, and would make each filter compile anew
@@ -72,7 +74,8 @@ def _ask_found(smoother: Smoother, mean: jax.Array, history: History) -> None:
 def _smooth(
     key: jax.Array, smoother: Smoother, model: Any, history: History, ys: jax.Array | None, inputs: Inputs, beside: Beside
 ) -> Smoothed:
-    model, inputs = driven(model, inputs, ys)
+    model, drive = model.independent()
+    inputs = drive.over(inputs, ys)
     count = history.info.ess.shape[0]
     prepared = smoother.prepare(model, history, at_step(inputs, 0))
     return smoother.smooth(random.as_key(key), prepared, history, Steps(inputs, history.start + jnp.arange(count, dtype=jnp.int32), ys))

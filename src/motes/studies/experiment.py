@@ -4,22 +4,21 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.filters.interface import Filter
-from motes.filters.needs import as_state_space
-from motes.filters.run import Engine
+from motes.filters.setup import carry_like
 from motes.models.canonical import one_of
-from motes.models.mixed_linear import MixedLinearModel
+from motes.models.interface import Model
 from motes.models.simulate import measurements, simulate
-from motes.models.state_space import StateSpaceModel, checked_inputs, circular
+from motes.models.state_space import checked_inputs
 from motes.tracing.compiling import jitted
 
 LONGEST_NAME = 60
+KINDS = "a StateSpaceModel, a MixedLinearModel or a JumpMarkovModel"
 Blocks = tuple[tuple[str, tuple[str, ...]], ...]
 
 
@@ -31,14 +30,15 @@ class Experiment:
     it comes from the seed and i alone, so that further runs or filters change nothing of the others.
 
     Attributes:
-        model: what the world does: a state-space or mixed linear model.
-        filters: name to filter, or to a pair of a filter and the model that it assumes instead of the world's; the first is the one that
-            others are compared with.
+        model: what the world does: a model of any kind; of a jump-Markov model errors are of the states without the mode.
+        filters: name to filter, or to a pair of a filter and the model that it assumes instead of the world's, which may have states beside
+            those of the world; the first is the one that others are compared with.
         steps: number of time steps t.
         runs: number of runs.
         seed: of all random numbers, 0 to 2^32 - 1.
         inputs: of the models, a tree with the time axis first; None where they take none.
-        track: true states `(t, x)` of all runs, so that only measurements are drawn; None to draw a track in each run.
+        track: true states `(t, x)` of all runs, so that only measurements are drawn (of a jump-Markov model with the number of the mode as
+            one more state); None to draw a track in each run.
         blocks: name and states of each block that errors are told of, such as `{"position": ("px", "py")}`; each state alone if not given;
             kept as pairs of a name and states.
         lost: block and largest final error, 2-norm in the units of the block: runs that end beyond are lost. None: only runs are lost in
@@ -62,8 +62,7 @@ class Experiment:
             MotesError: one does not; the message names it.
         """
         model, steps, seed, track = self.model, self.steps, self.seed, self.track
-        if not isinstance(model, (StateSpaceModel, MixedLinearModel)):
-            as_state_space("Experiment", model)
+        checks.instance("Experiment model", model, Model, KINDS)
         checks.positive_integer("Experiment steps", steps)
         checks.positive_integer("Experiment runs", self.runs)
         if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**32:
@@ -71,7 +70,7 @@ class Experiment:
         inputs = checked_inputs(self.inputs, steps, "", "Experiment inputs")
         if track is not None:
             track = checks.as_float("Experiment track", track).astype(model.dtype)
-            checks.shape("Experiment track", track, (steps, model.size), "(steps, states)")
+            checks.shape("Experiment track", track, (steps, model.as_state_space().size), "(steps, states)")
             checks.finite("Experiment track", track)
         chosen = _checked_blocks(model.names, self.blocks)
         rule = _checked_rule(chosen, self.lost)
@@ -87,18 +86,20 @@ class Experiment:
     @property
     def angles(self) -> tuple[int, ...]:
         """Places of the states that are angles, whose errors are wrapped."""
-        return circular(self.model)
+        return self.model.circular
 
     def keys(self, run: Any) -> tuple[jax.Array, jax.Array]:
         """Return the keys of a run: `simulate(keys[0], model, steps)` gives its truth, `run(keys[1], ...)` a filter's estimates."""
         return _keys(random.as_key(self.seed), run)
 
     def drawn(self, run: Any) -> tuple[jax.Array, jax.Array]:
-        """Return the true states `(t, x)` and the measurements `(t, y)` of a run."""
+        """Return the true states `(t, x)`, without a mode, and the measurements `(t, y)` of a run."""
         key = self.keys(run)[0]
         if self.track is None:
-            return simulate(key, self.model, self.steps, self.inputs)
-        return self.track, measurements(key, self.model, self.track, self.inputs)
+            xs, ys = simulate(key, self.model, self.steps, self.inputs)
+        else:
+            xs, ys = self.track, measurements(key, self.model, self.track, self.inputs)
+        return xs[:, : self.model.size], ys
 
     def shapes(self) -> tuple[Inputs, Any]:
         """Return shapes of the inputs and of the measurement of one step.
@@ -115,11 +116,11 @@ class Experiment:
         Raises:
             MotesError: world, filter and model do not fit each other; the message names the filter.
         """
-        u, y = jax.tree.map(lambda like: jnp.zeros(like.shape, like.dtype), self.shapes())
+        u, y = self.shapes()
         for name in self.filters:
             filter, model = self.assumed(name)
             try:
-                jax.eval_shape(Engine(random.as_key(0), filter, model).initial, u, y)
+                carry_like(filter, model, u, y)
             except checks.MotesError as reason:
                 raise checks.MotesError(f"filter {name!r}: {reason}") from None
 
@@ -139,9 +140,8 @@ def _checked_filters(model: Any, filters: Any) -> dict[str, Any]:
         filter, assumed = given if isinstance(given, tuple) and len(given) == 2 else (given, model)
         if not isinstance(filter, Filter):
             checks.refuse(f"Experiment filters {name!r}", "a filter, or a pair of a filter and a model", type(given).__name__)
-        if not isinstance(assumed, (StateSpaceModel, MixedLinearModel)):
-            as_state_space(f"Experiment filters {name!r}", assumed)
-        if assumed.names != model.names:
+        checks.instance(f"Experiment filters {name!r} model", assumed, Model, KINDS)
+        if set(model.names) - set(assumed.names):
             checks.refuse(f"Experiment filters {name!r}", f"a model with the states of the world, {', '.join(model.names)}",
                           ", ".join(assumed.names))
     return dict(filters)

@@ -4,7 +4,7 @@ from dataclasses import fields
 from typing import Any
 
 from motes.core import engine
-from motes.filters.run import canonical_parts
+from motes.filters.setup import canonical_parts
 from motes.io.archive import provenance
 from motes.models.canonical import canonical
 from motes.studies.experiment import Experiment

@@ -23,7 +23,7 @@ from motes.core import checks, linalg
 from motes.core.record import replace
 from motes.core.settings import Settings, enforced
 from motes.diagnostics.consistency import normalized_errors
-from motes.filters.interface import Info
+from motes.filters.info import Info
 from motes.filters.run import run
 from motes.laws.circular import wrap
 from motes.studies.experiment import Experiment, places
@@ -119,10 +119,15 @@ def one_run(experiment: Experiment, part: str, number: Any) -> dict[str, Any]:
     # a run whose weights vanish must not stop the others: it goes on by prediction, as "raise" does inside of jit
     quiet = replace(filter, on_collapse="predict") if filter.on_collapse == "raise" else filter
     history = run(experiment.keys(number)[1], quiet, model, ys, experiment.inputs)
-    blocks = tuple(tuple(places(model.names, states)) for _, states in experiment.blocks)
+    states = experiment.model.names
+    mean, cov = history.mean, history.cov
+    if model.names != states:
+        own = np.array(places(model.names, states))
+        mean, cov = mean[:, own], cov[:, own][:, :, own]
+    blocks = tuple(tuple(places(states, of)) for _, of in experiment.blocks)
     likelihood = history.log_likelihood if history.has_evidence else jnp.full((), jnp.nan, xs.dtype)
     # not the history itself, which carries the filter: this is compiled once for all of them
-    return _judged((history.mean, history.cov, history.info), xs, blocks, experiment.angles) | {"log_likelihood": likelihood}
+    return _judged((mean, cov, history.info), xs, blocks, experiment.angles) | {"log_likelihood": likelihood}
 
 
 @partial(jitted, static_argnames=("blocks", "angles"))

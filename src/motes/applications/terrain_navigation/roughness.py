@@ -16,6 +16,7 @@ import numpy as np
 from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
 from motes.bounds.kalman_at_truth import kalman_at_truth
 from motes.core import linalg
+from motes.core.loop import loop
 from motes.core.record import replace
 from motes.gaussian.sigma_points import regressed_on, unscaled
 from motes.gaussian.taylor import Taylor
@@ -117,7 +118,7 @@ def _expected(model: Any, track: Track) -> jax.Array:
         cov = measured(cov, *now)
         return cov, jnp.sqrt(jnp.sum(jnp.diagonal(cov)[np.array(across)]))
 
-    return jax.lax.scan(advance, model.initial.cov(), (track, jnp.arange(track.north.shape[0], dtype=jnp.int32)))[1]
+    return loop(advance, model.initial.cov(), (track, jnp.arange(track.north.shape[0], dtype=jnp.int32)))[1]
 
 
 def _spreads(terrain: TerrainMap, north: float, east: float, window: float) -> tuple[float, float]:
