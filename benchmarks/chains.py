@@ -156,7 +156,7 @@ def main():
         coal(),
         ("coal", "blackjax, emcee: no moves between models of different size", None, None, None, None, None),
     ]
-    write_page("CHAINS", "Effective draws per second", told(__doc__), mo.Table(COLUMNS, tuple(rows)))
+    write_page("CHAINS", "Effective draws per second", told(__doc__), mo.io.Table(COLUMNS, tuple(rows)))
 
 
 if __name__ == "__main__":

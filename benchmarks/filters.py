@@ -29,7 +29,7 @@ def sampled():
     """Return the filters with n particles, the bootstrap filter first; collapses do not stop the clock."""
     go_on = {"on_collapse": "predict"}
     return {
-        "bootstrap": mo.ParticleFilter(n=N, policy=mo.Always(), **go_on),
+        "bootstrap": mo.ParticleFilter(n=N, policy=mo.resampling.Always(), **go_on),
         "generic": mo.ParticleFilter(n=N, **go_on),
         "extended Kalman proposal": mo.ParticleFilter(n=N, proposal=mo.ExtendedKalmanProposal(), **go_on),
         "unscented proposal": mo.ParticleFilter(n=N, proposal=mo.UnscentedProposal(), **go_on),
@@ -67,7 +67,7 @@ def main():
     times = {name: [] for name in filters}
     for turn in range(TURNS):
         for name, filter in filters.items():
-            times[name].append(mo.seconds_per_step(filter, model, ys))
+            times[name].append(mo.costs.seconds_per_step(filter, model, ys))
         print(f"turn {turn + 1} of {TURNS}", flush=True)
     counts = {name: operations(filter, model, ys[0]) for name, filter in filters.items()}
     rows = []
@@ -76,7 +76,7 @@ def main():
         expected = min(times["bootstrap"]) / N * 1e9 * counts[name] / counts["bootstrap"]
         rows.append((name, cost, counts[name] / N, cost / expected, "" if cost <= LIMIT * expected else "yes"))
     words = f"Radar model of six states, n = {N}, JAX engine. {told(__doc__)}"
-    write_page("FILTERS", "Every filter", words, mo.Table(COLUMNS, tuple(rows)))
+    write_page("FILTERS", "Every filter", words, mo.io.Table(COLUMNS, tuple(rows)))
 
 
 if __name__ == "__main__":

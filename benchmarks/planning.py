@@ -76,7 +76,7 @@ if __name__ == "__main__":
     summary = []
     for name in sys.argv[1:] or CASES:
         case = CASES[name]()
-        pilot = mo.Pilot(runs=32, inputs=case.inputs, filters=case.filters)
+        pilot = mo.planning.Pilot(runs=32, inputs=case.inputs, filters=case.filters)
         found = mo.plan(case.model, case.budget, states=case.states, verify=True, pilot=pilot)
         print(f"\n{name}\n{found}", flush=True)
         errors = found.table.column("RMSE")

@@ -26,8 +26,8 @@ Written by `python docs/pages.py` from the filters themselves. `x` is the number
 
 def methods():
     """Return the public filters and smoothers by name."""
-    kinds = (mo.Filter, mo.Smoother)
-    found = {name: getattr(mo, name) for name in mo.__all__}
+    kinds = (mo.Filter, mo.smoothers.Smoother)
+    found = {name: getattr(room, name) for room in (mo, mo.smoothers) for name in room.__all__}
     return {name: cls for name, cls in found.items()
             if inspect.isclass(cls) and issubclass(cls, kinds) and not inspect.isabstract(cls) and cls.__name__ == name}  # fmt: skip
 
@@ -45,7 +45,7 @@ def choice():
             likelihood = "yes" if cls.has_evidence else "no"
             cells = (f"[`{name}`](methods/{name}.md)", cls.guide.needs, cls.guide.cost, likelihood, look_ahead(cls), cls.guide.use)
             rows.append(f"| {' | '.join(cells)} |\n")
-    smoothers = [f"[`{name}`](methods/{name}.md)" for name, cls in methods().items() if issubclass(cls, mo.Smoother)]
+    smoothers = [f"[`{name}`](methods/{name}.md)" for name, cls in methods().items() if issubclass(cls, mo.smoothers.Smoother)]
     past = f"States of the past given all measurements: `mo.smooth` with {', '.join(smoothers)}; see [smoothers](smoothers.md)."
     return f"{HEAD}{''.join(rows)}\n{past}\n"
 

@@ -92,7 +92,7 @@ def speed(task):
 
 def profile(task):
     """Milliseconds of each stage of a step, and how many kernels it takes, from the profiler."""
-    filter = mo.ParticleFilter(n=task["n"], policy=mo.Always(), on_collapse="predict")
+    filter = mo.ParticleFilter(n=task["n"], policy=mo.resampling.Always(), on_collapse="predict")
     model, ys = ours.MODELS[task["model"]](), np.asarray(task["ys"], np.float32)
     run = jax.jit(lambda key: mo.run(key, filter, model, ys, keep=mo.keep.nothing).log_likelihood)
     key = random.as_key(0)

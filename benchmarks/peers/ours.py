@@ -47,7 +47,7 @@ def prepare(task, engine="jax", keep="nothing"):
     """Prepare a run; the model is built anew, from fresh functions. A run that another engine took over is refused."""
     offers(task, ("bootstrap", "many", "marginalized", "kalman"))
     model, ys, keep = MODELS[task["model"]](), np.asarray(task["ys"], np.float32), getattr(mo.keep, keep)
-    kind, often = task["kind"], {"policy": mo.Always(), "on_collapse": "predict"}
+    kind, often = task["kind"], {"policy": mo.resampling.Always(), "on_collapse": "predict"}
     if kind == "kalman":
         filter = mo.KalmanFilter()
     elif kind == "marginalized":

@@ -31,7 +31,7 @@ def main():
     model = np.asarray(chains.positions.model)
     table = mo.mcmc.frequencies(model.sum(axis=-1))
     rows = [(*row, float(number[int(row[0])]), (row[1] - number[int(row[0])]) / row[2] if row[2] > 0 else None) for row in table.rows]
-    print(mo.Table(("changes", "probability", "s.e.", "exact", "z"), tuple(rows)))
+    print(mo.io.Table(("changes", "probability", "s.e.", "exact", "z"), tuple(rows)))
     years = np.where(model.any(axis=-1), 1852 + model.argmax(axis=-1), np.nan)
     exact_mean = (first * (1852 + np.arange(111))).sum() / first.sum()
     drawn = years[:, :][np.isfinite(years)]

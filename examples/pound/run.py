@@ -97,7 +97,7 @@ def main():
             sure = mo.mcmc.standard_error(draws), mo.mcmc.bulk_ess(draws), mo.mcmc.r_hat(draws)
             rows.append((name, quantity, draws.mean(), draws.std(), *sure))
         print(f"{name}: {time.perf_counter() - began:.0f} s", flush=True)
-    print(mo.Table(("way", "quantity", "mean", "sd", "s.e.", "bulk ESS", "R-hat"), tuple(rows)))
+    print(mo.io.Table(("way", "quantity", "mean", "sd", "s.e.", "bulk ESS", "R-hat"), tuple(rows)))
     for name in ("PMMH", "particle Gibbs"):
         away = [(found[name][..., k].mean() - found["grid"][..., k].mean()) / np.hypot(
             mo.mcmc.standard_error(found[name][..., k]), mo.mcmc.standard_error(found["grid"][..., k])) for k in range(3)]  # fmt: skip

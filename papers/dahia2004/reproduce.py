@@ -89,8 +89,8 @@ def at_equal_time(runs: int, folder: Path) -> None:
     first = flights[0]
     usual = rivals(flights, None, FIRST)
     kernel = usual["kernel, 2500"].filter
-    budget = mo.seconds_per_step(kernel, first.model, first.ys, first.inputs)
-    pilot = mo.Pilot(runs=8, inputs=first.inputs, filters={"marginalized": mo.MarginalizedParticleFilter(n=1)})
+    budget = mo.costs.seconds_per_step(kernel, first.model, first.ys, first.inputs)
+    pilot = mo.planning.Pilot(runs=8, inputs=first.inputs, filters={"marginalized": mo.MarginalizedParticleFilter(n=1)})
     marginalized = mo.plan(first.model, budget, states=("rN", "rE"), pilot=pilot).choice
     found = compare(flights, {"kernel, 2500": Rival(kernel), f"marginalized, {marginalized.n}": Rival(marginalized)})
     write("equal time, position noise 2", found, first.seconds, folder)

@@ -34,7 +34,7 @@ def in_turns(points: Iterable[Point], turns: int) -> dict[Point, float]:
     least = dict.fromkeys(points, float("inf"))
     for _ in range(turns):
         for name, n in least:
-            least[name, n] = min(least[name, n], mo.seconds_per_step(make_filter(name, n), radar, ys))
+            least[name, n] = min(least[name, n], mo.costs.seconds_per_step(make_filter(name, n), radar, ys))
     return least
 
 
@@ -46,7 +46,7 @@ def matched(partitions: tuple[str, ...], n: int, turns: int) -> Matched:
     """
     around = tuple(round(n * share) for share in AROUND)
     times = in_turns([(name, size) for name in partitions for size in around], turns)
-    lines = {name: mo.StepTime.fitted(tuple((size, times[name, size]) for size in around)) for name in partitions}
+    lines = {name: mo.costs.StepTime.fitted(tuple((size, times[name, size]) for size in around)) for name in partitions}
     budget = lines[PLAIN].seconds(n)
     sizes = {name: n if name == PLAIN else _even(lines[name].particles(budget)) for name in partitions}
     found = in_turns(sizes.items(), turns)

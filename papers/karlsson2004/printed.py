@@ -4,7 +4,7 @@ import numpy as np
 
 import motes as mo
 
-COSTS = mo.Costs.paper()
+COSTS = mo.costs.Costs.paper()
 KALMAN = {"PPPPPP": (), "PPKKPP": ("vx", "vy"), "PPPPKK": ("ax", "ay"), "PPKKKK": ("vx", "vy", "ax", "ay")}
 """The partitions of the paper, P for a state in particles and K for one in Kalman filters, and the states of the Kalman filters."""
 PLAIN, FULL = "PPPPPP", "PPKKKK"
@@ -25,10 +25,10 @@ TABLE_III = {
 """Equal RMSE of the velocity; columns as in table II."""
 
 
-def flops(partition: str, n: int, costs: mo.Costs) -> float:
+def flops(partition: str, n: int, costs: mo.costs.Costs) -> float:
     """Equivalent flops of a step by equation 11."""
     k = len(KALMAN[partition])
-    return mo.complexity(6 - k, k, n, costs)
+    return mo.costs.complexity(6 - k, k, n, costs)
 
 
 def own_errors() -> list[float]:

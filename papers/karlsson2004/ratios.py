@@ -20,7 +20,7 @@ FIGURE_2: tuple[Way, ...] = (
 )
 
 
-def ratios(ways: tuple[Way, ...]) -> mo.Table:
+def ratios(ways: tuple[Way, ...]) -> mo.io.Table:
     """Return N(k) / N_PF for all numbers of states m and of marginalized ones k, with the paper's constants.
 
     With k = 0 both filters are the same one, which cannot be compared with itself where the two are counted differently.
@@ -28,12 +28,12 @@ def ratios(ways: tuple[Way, ...]) -> mo.Table:
     rows = []
     for m in STATES:
         for k in range(m - NONLINEAR + 1):
-            found = (mo.particle_ratio(m - k, k, COSTS, own, plain=plain) if k or own == plain else None for _, own, plain in ways)
+            found = (mo.costs.particle_ratio(m - k, k, COSTS, own, plain=plain) if k or own == plain else None for _, own, plain in ways)
             rows.append((m, k, *found))
-    return mo.Table(("m", "k", *(title for title, *_ in ways)), tuple(rows))
+    return mo.io.Table(("m", "k", *(title for title, *_ in ways)), tuple(rows))
 
 
-def draw(table: mo.Table, path: Path) -> None:
+def draw(table: mo.io.Table, path: Path) -> None:
     """Draw a panel for each way of counting, with a curve for each number of states."""
     titles = table.columns[2:]
     figure = new_figure(4.6 * len(titles), 3.6)
@@ -57,4 +57,4 @@ def reproduce(name: str, ways: tuple[Way, ...], out: Path) -> str:
     table.save(out / f"{name}.csv")
     draw(table, out / f"{name}.png")
     told = [row for row in table.rows if row[:2] in ((6, 4), (9, 7))]
-    return f"{name}: two of its points\n{mo.Table(table.columns, tuple(told))}"
+    return f"{name}: two of its points\n{mo.io.Table(table.columns, tuple(told))}"

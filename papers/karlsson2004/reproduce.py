@@ -86,7 +86,7 @@ def results(given: argparse.Namespace) -> Iterator[str]:
                 yield tables.tracks(matched(), runs, 3 if quick else scenario.TRACKS, out)
 
 
-def saved(name: str, table: mo.Table, out: Path) -> str:
+def saved(name: str, table: mo.io.Table, out: Path) -> str:
     """Save a table as CSV and Markdown, and return it with its name."""
     table.save(out / f"{name}.csv")
     table.save(out / f"{name}.md")

@@ -47,8 +47,8 @@ def fixed_track(scenario: str) -> jax.Array:
 def make_filter(partition: str, n: int) -> mo.Filter:
     """Return the filter of a partition with n particles, which resamples at every step."""
     if not KALMAN[partition]:
-        return mo.ParticleFilter(n, policy=mo.Always())
-    return mo.MarginalizedParticleFilter(n, KALMAN[partition], policy=mo.Always())
+        return mo.ParticleFilter(n, policy=mo.resampling.Always())
+    return mo.MarginalizedParticleFilter(n, KALMAN[partition], policy=mo.resampling.Always())
 
 
 def experiment(scenario: str, sizes: dict[str, int], runs: int, xs: jax.Array | None = None) -> mo.Experiment:

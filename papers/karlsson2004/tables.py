@@ -16,14 +16,14 @@ FEWEST = 10
 """Particles at which the search of table III begins."""
 
 
-def table_2(scenario: str, match: Matched, runs: int) -> mo.Table:
+def table_2(scenario: str, match: Matched, runs: int) -> mo.io.Table:
     """Return accuracy at equal times: one row for each partition and block.
 
     Where runs are lost, "kept" is the RMSE of the others, and partitions are compared over the runs that both of them kept.
     """
     plan = experiment(scenario, match.sizes, runs)
     result = mo.study(plan, progress=False)
-    errors = result.table(mo.kalman_at_truth(plan.model, plan.track))
+    errors = result.table(mo.bounds.kalman_at_truth(plan.model, plan.track))
     rows = []
     for row in errors.rows:
         cells = dict(zip(errors.columns, row, strict=True))
@@ -35,10 +35,10 @@ def table_2(scenario: str, match: Matched, runs: int) -> mo.Table:
         rows.append((name, match.sizes[name], *times, block, *found, *compared, cells["of bound"], cells["lost"], paper))
     columns = ("partition", "N", "us/step", "of plain", "block", "RMSE", "s.e.", "kept", "median run", "to plain, percent", "s.e. of it",
                "of Kalman at truth", "lost", "paper")
-    return mo.Table(columns, tuple(rows))
+    return mo.io.Table(columns, tuple(rows))
 
 
-def change(result: mo.StudyResult, block: str, place: int) -> tuple[float, float]:
+def change(result: mo.studies.StudyResult, block: str, place: int) -> tuple[float, float]:
     """Return by how many percent the RMSE of a filter is above that of the first one, and the standard error of that."""
     both = ~(result.lost[0] | result.lost[place])
     squared = result.squared_errors(block)[:, both]
@@ -46,14 +46,14 @@ def change(result: mo.StudyResult, block: str, place: int) -> tuple[float, float
     return 100 * beyond.rmse / first.rmse, 100 * beyond.error / first.rmse
 
 
-def table_3(plan: mo.Experiment, turns: int, precision: float) -> mo.Table:
+def table_3(plan: mo.Experiment, turns: int, precision: float) -> mo.io.Table:
     """Return how many particles each partition of an experiment needs for the velocity RMSE of the first one, the plain filter.
 
     The search ends where the runs cannot tell any more; so there is a comparison at the paper's numbers too.
     """
     n = plan.filters[PLAIN].n
     others = [name for name in plan.filters if name != PLAIN]
-    found = {name: mo.particles_for_rmse(plan, name, "velocity", PLAIN, (FEWEST, n), precision) for name in others}
+    found = {name: mo.studies.particles_for_rmse(plan, name, "velocity", PLAIN, (FEWEST, n), precision) for name in others}
     sizes = {PLAIN: n} | {name: needed.n for name, needed in found.items()}
     result = mo.study(_resized(plan, sizes), progress=False)
     printed = mo.study(_resized(plan, {PLAIN: n} | {name: TABLE_III[name][0] for name in others}), progress=False)
@@ -67,7 +67,7 @@ def table_3(plan: mo.Experiment, turns: int, precision: float) -> mo.Table:
         rows.append((name, size, low, high, 100 * size / n, *rmses, *taken, TABLE_III[name][0], *compared))
     columns = ("partition", "N", "above", "below", "of plain, percent", *BLOCKS, "us/step", "time of plain, percent", "paper's N",
                "there velocity to plain, percent", "s.e.")
-    return mo.Table(columns, tuple(rows))
+    return mo.io.Table(columns, tuple(rows))
 
 
 def _resized(plan: mo.Experiment, sizes: dict[str, int]) -> mo.Experiment:
@@ -86,7 +86,7 @@ def tracks(match: Matched, runs: int, count: int, out: Path) -> str:
         more, error = change(result, "position", 1)
         rows.append((seed, nearest(xs), *kept, -more, error, 100 * float(1 - medians[1] / medians[0]), *map(int, result.lost.sum(axis=1))))
     columns = ("track", "nearest, m", "plain", "marginalized", "gain, percent", "s.e.", "of median run", "lost, plain", "lost")
-    table = mo.Table(columns, tuple(rows))
+    table = mo.io.Table(columns, tuple(rows))
     table.save(out / "tracks.csv")
     figure = new_figure(5.5, 3.6)
     axes = figure.add_subplot()

@@ -19,37 +19,37 @@ TRIED = (500, 1_000, 2_000)
 """Of a quick run: the first is judged and the others are fitted."""
 
 
-def measured(partitions: tuple[str, ...], turns: int, quick: bool) -> mo.Table:
+def measured(partitions: tuple[str, ...], turns: int, quick: bool) -> mo.io.Table:
     """Return measured and predicted microseconds of a step on the engine in force, and which rows are judged."""
     fitted, judged = (TRIED[1:], TRIED[:1]) if quick else (FITTED, JUDGED)
-    calibration = mo.calibrate(refresh=not quick)
+    calibration = mo.costs.calibrate(refresh=not quick)
     times = in_turns([(name, n) for name in partitions for n in (*fitted, *judged)], turns)
     rows = []
     for name in partitions:
-        line = mo.StepTime.fitted(tuple((n, times[name, n]) for n in fitted))
+        line = mo.costs.StepTime.fitted(tuple((n, times[name, n]) for n in fitted))
         for n in sorted((*fitted, *judged)):
             seconds = times[name, n], line.seconds(n), flops(name, n, calibration.costs) * calibration.flop.value
             rows.append((name, n, *(1e6 * value for value in seconds), "yes" if n in judged else "no"))
-    return mo.Table(("partition", "N", "measured", "line", "flops", "judged"), tuple(rows))
+    return mo.io.Table(("partition", "N", "measured", "line", "flops", "judged"), tuple(rows))
 
 
-def lines(table: mo.Table) -> mo.Table:
+def lines(table: mo.io.Table) -> mo.io.Table:
     """Return what the line of each partition says: the part of a step that is there without particles, and the price of a particle."""
     rows = []
     for name in dict.fromkeys(table.column("partition")):
         (n, first), *_, (m, last) = ((row[1], row[3]) for row in table.rows if row[0] == name)
         each = (last - first) / (m - n)
         rows.append((name, first - each * n, 1e3 * each))
-    return mo.Table(("partition", "fixed, us", "ns/particle"), tuple(rows))
+    return mo.io.Table(("partition", "fixed, us", "ns/particle"), tuple(rows))
 
 
-def errors(table: mo.Table, model: str) -> list[float]:
+def errors(table: mo.io.Table, model: str) -> list[float]:
     """Return the relative errors of a model of cost at the rows that are judged."""
     columns = (table.column(name) for name in (model, "measured", "judged"))
     return [predicted / seconds - 1 for predicted, seconds, judged in zip(*columns, strict=True) if judged == "yes"]
 
 
-def draw(table: mo.Table, path: Path) -> None:
+def draw(table: mo.io.Table, path: Path) -> None:
     """Draw a panel for each partition: measured times, the line, the count of flops."""
     partitions = list(dict.fromkeys(table.column("partition")))
     figure = new_figure(9, 3 * len(partitions) / 2)
@@ -73,7 +73,7 @@ def reproduce(engine: str, partitions: tuple[str, ...], turns: int, quick: bool,
     draw(table, out / f"figure3_{engine}.png")
     cases = {"line": errors(table, "line"), "equivalent flops": errors(table, "flops"), "the paper's own": own_errors()}
     rows = tuple((name, 100 * float(np.median(np.abs(found))), 100 * max(map(abs, found)), len(found)) for name, found in cases.items())
-    summary = mo.Table(("prediction", "median error, percent", "worst, percent", "points"), rows)
+    summary = mo.io.Table(("prediction", "median error, percent", "worst, percent", "points"), rows)
     summary.save(out / f"figure3_{engine}_errors.md")
     each = lines(table)
     each.save(out / f"figure3_{engine}_lines.md")

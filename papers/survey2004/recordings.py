@@ -15,7 +15,7 @@ FLIGHT, RIVER = "aircraft/adsb/belevingsvlucht.csv", "timeseries/nile.csv"
 PLOTS = 1660
 
 
-def aircraft(data: Path, seeds: int) -> mo.Table:
+def aircraft(data: Path, seeds: int) -> mo.io.Table:
     """Trackers on radar plots drawn from a recorded flight, each seed with plots and particles of its own."""
     path, radar, flight = scenario.read_path(data / FLIGHT), Radar(), Flight()
     flights = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]),
@@ -43,10 +43,10 @@ def aircraft(data: Path, seeds: int) -> mo.Table:
         lost = int((worst > scenario.LOST).sum())
         rows.append((name, float(position.mean()), float(position.std(ddof=1)), float(velocity.mean()), float(worst.max()), lost, says))
     columns = ("tracker", "position, m", "s.d.", "velocity, m/s", "largest error, m", "lost", "diagnosis of the first run")
-    return mo.Table(columns, tuple(rows))
+    return mo.io.Table(columns, tuple(rows))
 
 
-def river(data: Path, seeds: int) -> mo.Table:
+def river(data: Path, seeds: int) -> mo.io.Table:
     """Log likelihood of the Nile's flow with rare breaks of its level, against a grid."""
     flow = read_table(data / RIVER, ["value"])["value"][:, None]
     start, sensor = mo.Gaussian([1000.0], [[200.0**2]]), mo.LinearGaussian([[1.0]], [[15099.0]])
@@ -63,4 +63,4 @@ def river(data: Path, seeds: int) -> mo.Table:
         found = jax.jit(jax.vmap(lambda key, n=n: mo.run(key, mo.JumpMarkovFilter(n=n), breaks, jnp.asarray(flow)).log_likelihood))(keys)
         told = np.asarray(found, np.float64)
         rows.append((f"jump-Markov, {n}", float(told.mean()), float(told.std(ddof=1)), float(np.abs(told - exact).max())))
-    return mo.Table(("filter", "log likelihood", "s.d. over seeds", "largest distance from the grid"), tuple(rows))
+    return mo.io.Table(("filter", "log likelihood", "s.d. over seeds", "largest distance from the grid"), tuple(rows))

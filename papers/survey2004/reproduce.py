@@ -52,7 +52,7 @@ def sampled(n: int) -> dict[str, mo.Filter]:
     """Return the filters that draw n numbers a step; collapses are got over, so that all see the same runs."""
     go_on = {"on_collapse": "predict"}
     return {
-        "bootstrap": mo.ParticleFilter(n=n, policy=mo.Always(), **go_on),
+        "bootstrap": mo.ParticleFilter(n=n, policy=mo.resampling.Always(), **go_on),
         "generic": mo.ParticleFilter(n=n, **go_on),
         "generic, extended Kalman proposal": mo.ParticleFilter(n=n, proposal=mo.ExtendedKalmanProposal(), **go_on),
         "generic, unscented proposal": mo.ParticleFilter(n=n, proposal=mo.UnscentedProposal(), **go_on),
@@ -62,7 +62,7 @@ def sampled(n: int) -> dict[str, mo.Filter]:
         "kernel": mo.KalmanParticleKernelFilter(n=n, every=1, **go_on),
         "Gaussian particle": mo.GaussianParticleFilter(n=n, **go_on),
         "Gaussian sum, 10 mixands": mo.GaussianSumParticleFilter(n=n // 10, mixands=10, **go_on),
-        "cost-reference": mo.CostReferenceParticleFilter(n=n, q=2, phi=mo.InverseExcess(delta=1.0), **go_on),
+        "cost-reference": mo.CostReferenceParticleFilter(n=n, q=2, phi=mo.resampling.InverseExcess(delta=1.0), **go_on),
         "ensemble Kalman": mo.EnsembleKalmanFilter(n=n, **go_on),
     }
 
@@ -80,7 +80,7 @@ def unsampled() -> dict[str, mo.Filter]:
     }
 
 
-def over_growth(runs: int) -> mo.Table:
+def over_growth(runs: int) -> mo.io.Table:
     """Every filter that the growth model allows, beside the exact answer."""
     filters = unsampled() | {f"{name}, {n}": filter for n in NUMBERS for name, filter in sampled(n).items()}
     plan = mo.Experiment(growth(), filters, STEPS, runs)
@@ -96,8 +96,10 @@ def over_growth(runs: int) -> mo.Table:
         told = (float(off.mean()), float(off.std(ddof=1))) if np.isfinite(off).all() else (None, None)
         collapsed = int((found.collapsed[place] >= 0).sum())
         above = 100 * (own.rmse / accuracy(squared[EXACT]).rmse - 1)
-        rows.append((name, own.rmse, own.error, above, apart.error, *told, collapsed, 1e6 * mo.seconds_per_step(filter, plan.model, ys)))
-    return mo.Table(COLUMNS, tuple(rows))
+        rows.append(
+            (name, own.rmse, own.error, above, apart.error, *told, collapsed, 1e6 * mo.costs.seconds_per_step(filter, plan.model, ys))
+        )
+    return mo.io.Table(COLUMNS, tuple(rows))
 
 
 def beacons(noise: mo.StudentT | None) -> mo.StateSpaceModel:
@@ -116,10 +118,10 @@ def beacons(noise: mo.StudentT | None) -> mo.StateSpaceModel:
 
 def by_costs(q: int, delta: float, selection: str = "global") -> mo.Filter:
     """Return a filter that needs no law; delta is about what the noise of one measurement costs."""
-    return mo.CostReferenceParticleFilter(n=1000, q=q, phi=mo.InverseExcess(delta=delta), selection=selection)
+    return mo.CostReferenceParticleFilter(n=1000, q=q, phi=mo.resampling.InverseExcess(delta=delta), selection=selection)
 
 
-def wrong_noise(runs: int) -> mo.Table:
+def wrong_noise(runs: int) -> mo.io.Table:
     """Filters that take the heavy tails of the ranges for Gaussian, beside those that need no law, and one that knows it."""
     rows = []
     for degrees in (1.2, 2.0, 4.0):
@@ -138,7 +140,7 @@ def wrong_noise(runs: int) -> mo.Table:
             own, apart = accuracy(squared[i]), difference(squared[i], squared[0])
             median = float(np.median(np.sqrt(squared[i].mean(axis=1))))
             rows.append((f"t with {degrees:g} degrees", name, own.rmse, own.error, median, apart.rmse, apart.error))
-    return mo.Table(("noise", "filter", "RMSE, m", "s.e.", "median run, m", "to the first", "s.e. of it"), tuple(rows))
+    return mo.io.Table(("noise", "filter", "RMSE, m", "s.e.", "median run, m", "to the first", "s.e. of it"), tuple(rows))
 
 
 def main() -> None:

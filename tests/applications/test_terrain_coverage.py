@@ -122,7 +122,7 @@ def test_the_demonstration_is_rough_enough(terrain):
     model, flown = error_model(terrain, step=STEP), track(4000, 3000, 45, 1576.0)
     found = roughness(model, flown)
     smooth = error_model(terrain_map(jacksboro(), interpolation="cubic"), step=STEP)
-    local = mo.kalman_at_truth(smooth, jnp.zeros((FIXES, 9)), flown).rmse(("rN", "rE"))
+    local = mo.bounds.kalman_at_truth(smooth, jnp.zeros((FIXES, 9)), flown).rmse(("rN", "rE"))
     np.testing.assert_allclose(found.bound, local, rtol=1e-5)
     assert found.expected[0] == pytest.approx(after_one_fix(terrain, 4000.0, 3000.0), rel=1e-4)
     assert found.verdict == "rough enough" and found.flat == 0 and 60 < found.heights < 120 and 0.15 < found.slopes < 0.3

@@ -55,16 +55,16 @@ def test_equals_the_kalman_filter_on_linear_models(double, kind):
     model = linear_model(**LINEAR[kind])
     inputs = np.linspace(-1, 2, 12) if "varying" in LINEAR[kind] else None
     exact = mo.run(0, mo.KalmanFilter(), model, np.zeros((12, 2)), inputs).cov
-    assert np.abs(mo.posterior_cramer_rao(0, model, 12, trajectories=5, inputs=inputs).cov - exact).max() < 1e-10
+    assert np.abs(mo.bounds.posterior_cramer_rao(0, model, 12, trajectories=5, inputs=inputs).cov - exact).max() < 1e-10
     xs, _ = mo.simulate(1, model, 12, inputs)
-    assert np.abs(mo.kalman_at_truth(model, xs, inputs).cov - exact).max() < 1e-10
+    assert np.abs(mo.bounds.kalman_at_truth(model, xs, inputs).cov - exact).max() < 1e-10
 
 
 def test_float32_keeps_its_digits_where_noises_differ_widely():
     """Noise variances of 100 and 1e-6, as of a radar; entries of the covariance of 1 beside 1e-7."""
     settings = {"sensor_noise": ((100.0, 0.0), (0.0, 1e-6))}
     exact = kalman_cov(linear_model(**settings), 40)
-    cov = mo.posterior_cramer_rao(0, linear_model(**settings), 40, trajectories=300).cov
+    cov = mo.bounds.posterior_cramer_rao(0, linear_model(**settings), 40, trajectories=300).cov
     assert cov.dtype == jnp.float32 and errors(np.asarray(cov, np.float64), exact) < 5e-4
 
 
@@ -80,7 +80,7 @@ def test_both_forms_of_the_recursion_agree(double):
     other = replace(model, dynamics=mo.AdditiveGaussian(bend, model.dynamics.Q))
     for cov in (model.initial.cov(), jnp.diag(jnp.array([1.0, 0.0, 0.5]))):
         start = mo.Gaussian(model.initial.center, cov)
-        found = mo.posterior_cramer_rao(3, replace(other, initial=start), 15, trajectories=20).cov
+        found = mo.bounds.posterior_cramer_rao(3, replace(other, initial=start), 15, trajectories=20).cov
         assert errors(found, kalman_cov(replace(model, initial=start), 15)) < 1e-10
 
 
@@ -90,7 +90,7 @@ def test_noise_that_depends_on_the_state_is_seen_where_the_slope_is_constant(dou
     model = mo.StateSpaceModel(mo.Gaussian([0.2], [[0.25]]), dynamics, sensor)
     precision = np.exp(-0.2 + 0.25 / 2)
     exact = precision - (0.7 * precision) ** 2 / (4 + 0.49 * precision + 0.5)
-    found = mo.posterior_cramer_rao(0, model, 2, 400_000).cov[1, 0, 0]
+    found = mo.bounds.posterior_cramer_rao(0, model, 2, 400_000).cov[1, 0, 0]
     # the mean of exp(-x) over the draws has a relative standard deviation of 0.53 / 630
     assert abs(1 / found / exact - 1) < 4.9 * 0.53 / np.sqrt(400_000) + 1e-5
 
@@ -153,7 +153,7 @@ def test_equals_integrated_scores(double):
     """Level 1e-6 over all steps: 12 keys, whose spread gives the standard error of their mean."""
     steps = 5
     keys = jax.random.split(jax.random.key(2), 12)
-    covs = jax.vmap(lambda key: mo.posterior_cramer_rao(key, scalar_model(), steps, 20_000).cov[:, 0, 0])(keys)
+    covs = jax.vmap(lambda key: mo.bounds.posterior_cramer_rao(key, scalar_model(), steps, 20_000).cov[:, 0, 0])(keys)
     exact = integrated_bound(steps)
     standard_error = np.asarray(covs.std(axis=0, ddof=1)) / np.sqrt(len(keys))
     assert np.all(standard_error < 3e-3 * exact)
@@ -185,7 +185,7 @@ def test_no_filter_beats_it_and_a_good_one_comes_close():
     draws = jax.jit(jax.vmap(squares, (0, None)))
     for model, furthest in ((calm, 1.1), (wide, 2.0)):
         found = np.asarray(draws(jax.random.split(jax.random.key(5), runs), model))
-        bound = mo.posterior_cramer_rao(0, model, steps)
+        bound = mo.bounds.posterior_cramer_rao(0, model, steps)
         for block, mean_squares in zip((("px", "py"), ("vx", "vy")), found.T, strict=True):
             limit, error = float(bound.overall_rmse(block)) ** 2, 5.2 * mean_squares.std(ddof=1) / np.sqrt(runs)
             assert limit - error < mean_squares.mean() < furthest**2 * limit + error
@@ -201,7 +201,7 @@ def test_kalman_at_truth_is_the_recursion_at_the_track(double):
         H = np.zeros((2, 6))
         H[0, :2], H[1, :2] = [px / r, py / r], [-py / r**2, px / r**2]
         P = P - P @ H.T @ np.linalg.solve(H @ P @ H.T + R, H @ P)
-    bound = mo.kalman_at_truth(model, xs)
+    bound = mo.bounds.kalman_at_truth(model, xs)
     assert np.abs(bound.cov[-1] - P).max() < 1e-9
     assert "track" in bound.kind and bound.names == model.names
     # slope and noise of the dynamics at the state that is left, those of the sensor at the one that is reached
@@ -211,7 +211,7 @@ def test_kalman_at_truth_is_the_recursion_at_the_track(double):
             before = track[t - 1]
             variance = (0.8 + 2 * np.cos(2 * before)) ** 2 * variance + moments("dynamics", before)[1]
         variance = 1 / (1 / variance + (2 * x / 3) ** 2 / moments("sensor", x)[1])
-        assert float(mo.kalman_at_truth(scalar_model(), track[:, None]).cov[t, 0, 0]) == pytest.approx(variance, rel=1e-12)
+        assert float(mo.bounds.kalman_at_truth(scalar_model(), track[:, None]).cov[t, 0, 0]) == pytest.approx(variance, rel=1e-12)
 
 
 # ---- what readers get ----
@@ -219,7 +219,7 @@ def test_kalman_at_truth_is_the_recursion_at_the_track(double):
 
 def test_errors_of_blocks(double):
     covs = np.stack([np.diag([4.0, 9.0, 1.0]), np.diag([16.0, 9.0, 0.0])])
-    bound = mo.Bound(jnp.asarray(covs), ("px", "py", "bias"), "some bound")
+    bound = mo.bounds.Bound(jnp.asarray(covs), ("px", "py", "bias"), "some bound")
     np.testing.assert_allclose(bound.rmse(("px", "py")), np.sqrt([13, 25]))
     np.testing.assert_allclose(bound.rmse("bias"), [1, 0])
     np.testing.assert_allclose(bound.rmse((-1,)), [1, 0])
@@ -236,12 +236,12 @@ def test_pure(double):
     """Under jit, vmap and grad: the same numbers."""
     model = scalar_model()
     keys = jax.random.split(jax.random.key(1), 2)
-    together = jax.jit(jax.vmap(lambda key: mo.posterior_cramer_rao(key, model, 4, 50).cov))(keys)
-    assert np.abs(together[1] - mo.posterior_cramer_rao(keys[1], model, 4, 50).cov).max() < 1e-12
+    together = jax.jit(jax.vmap(lambda key: mo.bounds.posterior_cramer_rao(key, model, 4, 50).cov))(keys)
+    assert np.abs(together[1] - mo.bounds.posterior_cramer_rao(keys[1], model, 4, 50).cov).max() < 1e-12
 
     def last(scale):
         scaled = replace(scalar_model(False), sensor=mo.AdditiveGaussian(lambda x, u, t: x**2 / 3, scale * jnp.eye(1)))
-        return mo.posterior_cramer_rao(1, scaled, 4, 50).cov[-1, 0, 0]
+        return mo.bounds.posterior_cramer_rao(1, scaled, 4, 50).cov[-1, 0, 0]
 
     slope = jax.grad(last)(0.4)
     assert float(slope) == pytest.approx(float(last(0.4001) - last(0.3999)) / 2e-4, rel=1e-5)
@@ -260,7 +260,7 @@ def test_mixed_linear_models(double):
     A, H = np.array([[0.9, 1, 0.1], [1, 0.9, 0.2], [0, 0.1, 0.8]]), np.array([[1.0, 1, 0]])
     start = mo.Gaussian(np.zeros(3), np.diag([0.5, 1.0, 2.0]))
     written = mo.StateSpaceModel(start, mo.LinearGaussian(A, np.diag([0.1, 0.3, 0.2])), mo.LinearGaussian(H, [[0.5]]))
-    assert np.abs(mo.posterior_cramer_rao(0, mixed, 8, 5).cov - kalman_cov(written, 8)).max() < 1e-12
+    assert np.abs(mo.bounds.posterior_cramer_rao(0, mixed, 8, 5).cov - kalman_cov(written, 8)).max() < 1e-12
 
 
 CASES = {
@@ -279,20 +279,20 @@ def test_models_without_a_bound_are_refused(name):
     changes, words = CASES[name]
     model = scalar_model(False)
     with pytest.raises(mo.MotesError) as error:
-        mo.posterior_cramer_rao(0, replace(model, **changes(model)), 5, 20)
+        mo.bounds.posterior_cramer_rao(0, replace(model, **changes(model)), 5, 20)
     refused(error, "posterior_cramer_rao", *words)
 
 
 def test_other_refusals():
     model, density = scalar_model(), mo.Custom(log_prob=lambda y, x, u, t: 0.0)
     for attempt, words in (
-        (lambda: mo.posterior_cramer_rao(0, model, 0), ("steps", "0")),
-        (lambda: mo.posterior_cramer_rao(0, model, 3, 0), ("trajectories", "0")),
-        (lambda: mo.posterior_cramer_rao(0, model, 3, inputs=np.ones(2)), ("inputs", "3 steps")),
+        (lambda: mo.bounds.posterior_cramer_rao(0, model, 0), ("steps", "0")),
+        (lambda: mo.bounds.posterior_cramer_rao(0, model, 3, 0), ("trajectories", "0")),
+        (lambda: mo.bounds.posterior_cramer_rao(0, model, 3, inputs=np.ones(2)), ("inputs", "3 steps")),
         (lambda: mo.simulate(0, model, 3, inputs=np.ones(2)), ("inputs", "3 steps")),
-        (lambda: mo.kalman_at_truth(model, np.ones(4)), ("xs", "(any, 1)")),
-        (lambda: mo.kalman_at_truth(replace(model, noise_cross_cov=jnp.array([[0.1]])), np.ones((4, 1))), ("noise_cross_cov",)),
-        (lambda: mo.kalman_at_truth(replace(model, sensor=density), np.ones((4, 1))), ("sensor", "Custom")),
+        (lambda: mo.bounds.kalman_at_truth(model, np.ones(4)), ("xs", "(any, 1)")),
+        (lambda: mo.bounds.kalman_at_truth(replace(model, noise_cross_cov=jnp.array([[0.1]])), np.ones((4, 1))), ("noise_cross_cov",)),
+        (lambda: mo.bounds.kalman_at_truth(replace(model, sensor=density), np.ones((4, 1))), ("sensor", "Custom")),
     ):
         with pytest.raises(mo.MotesError) as error:
             attempt()
@@ -301,7 +301,7 @@ def test_other_refusals():
 
 def test_a_step_that_would_be_refused_gives_nan_inside_jit():
     model = replace(scalar_model(False), sensor=mo.AdditiveGaussian(lambda x, u, t: x / (t - 2.0), [[1.0]]))
-    cov = jax.jit(lambda key: mo.posterior_cramer_rao(key, model, 5, 20).cov)(jax.random.key(0))
+    cov = jax.jit(lambda key: mo.bounds.posterior_cramer_rao(key, model, 5, 20).cov)(jax.random.key(0))
     assert np.isnan(cov).ravel().tolist() == [False, False, True, True, True]
 
 

@@ -93,21 +93,27 @@ def examples():
     proposal = mo.AdditiveGaussian(lambda x, uy, t: 0.8 * x, [[1.5, 0.2], [0.2, 1.0]])
     found["ParticleFilter, proposal"] = mo.ParticleFilter(n=300, proposal=proposal)
     found["ParticleFilter, extended Kalman"] = mo.ParticleFilter(n=300, proposal=mo.ExtendedKalmanProposal())
-    found["ParticleFilter, SIR stratified"] = mo.ParticleFilter(n=300, scheme=mo.Stratified(), policy=mo.Always())
-    found["ParticleFilter, SIS"] = mo.ParticleFilter(n=300, policy=mo.Never())
+    found["ParticleFilter, SIR stratified"] = mo.ParticleFilter(n=300, scheme=mo.resampling.Stratified(), policy=mo.resampling.Always())
+    found["ParticleFilter, SIS"] = mo.ParticleFilter(n=300, policy=mo.resampling.Never())
     found["MarginalizedParticleFilter, one state"] = mo.MarginalizedParticleFilter(n=300, linear=("b",))
     found["RegularizedParticleFilter, metropolis"] = mo.RegularizedParticleFilter(n=300, form="metropolis")
     # on a linear model no state is nonlinear unless declared
     found["KalmanParticleKernelFilter"] = mo.KalmanParticleKernelFilter(n=300, nonlinear=("a", "b"), every=2)
     found["KalmanParticleKernelFilter, common kernel"] = mo.KalmanParticleKernelFilter(
-        n=300, nonlinear=("b",), width=0.5, every=3, kernels=mo.CommonKernel(guard=0.01), slope="jacobian", policy=mo.Always()
+        n=300,
+        nonlinear=("b",),
+        width=0.5,
+        every=3,
+        kernels=mo.resampling.CommonKernel(guard=0.01),
+        slope="jacobian",
+        policy=mo.resampling.Always(),
     )
     # one mode leaves nothing to chance unless a state is drawn
     found["JumpMarkovFilter"] = mo.JumpMarkovFilter(n=300, sampled=("b",))
     found["GaussianParticleFilter, moved draws"] = mo.GaussianParticleFilter(n=300, redraw=False)
     found["GaussianSumParticleFilter, II"] = mo.GaussianSumParticleFilter(n=100, mixands=8, form="II")
     found["CostReferenceParticleFilter, local"] = mo.CostReferenceParticleFilter(
-        n=300, q=1, phi=mo.InverseCost(), forgetting=0.5, scale=(0.7, 0.5), adaptive=True, selection="local"
+        n=300, q=1, phi=mo.resampling.InverseCost(), forgetting=0.5, scale=(0.7, 0.5), adaptive=True, selection="local"
     )
     found["EnsembleKalmanFilter, stochastic"] = mo.EnsembleKalmanFilter(n=300, form="stochastic", inflation=1.02)
     found["MarginalizedParticleFilter, none"] = mo.MarginalizedParticleFilter(n=300, linear=())

@@ -68,8 +68,8 @@ def may_be_left_out(rule, filter):
         return not filter.has_evidence
     if name == "fewest":
         return "n" not in values(filter)
-    return name == "weights" and not isinstance(filter, (mo.ParticleFilter, mo.PointMassFilter, mo.AuxiliaryParticleFilter, mo.PaRIS,
-                                                         mo.RegularizedParticleFilter, mo.GaussianParticleFilter))  # fmt: skip
+    weighed = (mo.ParticleFilter, mo.PointMassFilter, mo.AuxiliaryParticleFilter, mo.RegularizedParticleFilter, mo.GaussianParticleFilter)
+    return name == "weights" and not isinstance(filter, (*weighed, mo.smoothers.PaRIS))
 
 
 def test_every_filter_and_smoother_is_found_and_documented():
@@ -83,7 +83,7 @@ def test_every_filter_and_smoother_is_found_and_documented():
 
 def test_what_is_asked_by_day_names_rules():
     assert set(BY_DAY) <= {rule.ask.__name__ for rule in RULES}
-    assert {type(FILTERS[name]) for name in KINDS} >= {mo.PaRIS, mo.PointMassFilter, mo.MarginalizedParticleFilter}
+    assert {type(FILTERS[name]) for name in KINDS} >= {mo.smoothers.PaRIS, mo.PointMassFilter, mo.MarginalizedParticleFilter}
 
 
 @pytest.mark.optimized

@@ -58,7 +58,7 @@ def test_ratio_of_slopes_covers_the_truth():
 
 
 def test_constants_of_a_known_machine(machine, tmp_path):
-    found = mo.calibrate()
+    found = mo.costs.calibrate()
     # normal numbers: one returned per number; weighing returns the cloud, 6 states, weight and ancestor, and six numbers in all
     assert found.normal.value == pytest.approx(2e-9) and found.normal.r_squared == pytest.approx(1)
     assert found.likelihood.value == pytest.approx(8 * 2e-9) and found.resampling.value == pytest.approx(8 * 2e-9)
@@ -68,26 +68,26 @@ def test_constants_of_a_known_machine(machine, tmp_path):
     products = np.concatenate([5e-6 + 2e-9 * j * n for _, j in sizes])
     assert found.flop.value == pytest.approx(linregress(flops, products).slope)
     assert found.costs.c3 == pytest.approx(found.normal.value / found.flop.value)
-    assert found.costs == mo.Costs(*(slope.value for slope in found.equivalent_flops.values()))
+    assert found.costs == mo.costs.Costs(*(slope.value for slope in found.equivalent_flops.values()))
     assert found.engine == "jax" and "cpu" in found.device
 
 
 def test_kept_and_measured_again(machine, tmp_path):
-    first = mo.calibrate()
+    first = mo.costs.calibrate()
     count = len(machine)
-    assert mo.calibrate() == first and len(machine) == count
+    assert mo.costs.calibrate() == first and len(machine) == count
     assert len(files(tmp_path)) == 1
-    mo.calibrate(refresh=True)
+    mo.costs.calibrate(refresh=True)
     assert len(machine) == 2 * count
     # another model, another file
     other = mo.StateSpaceModel(mo.Gaussian([0.0], [[1.0]]), mo.LinearGaussian([[0.9]], [[1.0]]), mo.LinearGaussian([[1.0]], [[0.5]]))
-    assert mo.calibrate(other).likelihood.value == pytest.approx(3 * 2e-9)
+    assert mo.costs.calibrate(other).likelihood.value == pytest.approx(3 * 2e-9)
     assert len(files(tmp_path)) == 2
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "other table"])
 def test_damaged_files_are_replaced_with_one_line(machine, tmp_path, damage):
-    first = mo.calibrate()
+    first = mo.costs.calibrate()
     (path,) = files(tmp_path)
     whole = bytearray(path.read_bytes())
     if damage == "other table":
@@ -98,23 +98,23 @@ def test_damaged_files_are_replaced_with_one_line(machine, tmp_path, damage):
         whole[len(whole) // 2] ^= 255
         path.write_bytes(whole if damage == "flipped" else whole[: len(whole) // 2])
     with pytest.warns(UserWarning, match="measured again") as lines:
-        assert mo.calibrate() == first
+        assert mo.costs.calibrate() == first
     assert len(lines) == 1 and str(path) in str(lines[0].message) and "\n" not in str(lines[0].message)
-    assert mo.calibrate() == first  # without a warning
+    assert mo.costs.calibrate() == first  # without a warning
 
 
 def test_nothing_is_kept_where_it_cannot_be(machine, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
-    mo.calibrate()
+    mo.costs.calibrate()
     count = len(machine)
-    mo.calibrate()
+    mo.costs.calibrate()
     assert len(machine) == 2 * count
 
 
 def test_a_busy_machine_is_refused(machine, monkeypatch):
     monkeypatch.setattr(room, "least_seconds", lambda call, repeats=1: 1e-3 - 1e-12 * jax.tree.leaves(jax.eval_shape(call))[0].size)
     with pytest.raises(mo.MotesError) as error:
-        mo.calibrate()
+        mo.costs.calibrate()
     refused(error, "calibrate flop", "idle")
 
 
@@ -162,23 +162,23 @@ def clock(monkeypatch):
 
 
 def test_seconds_of_a_step_leave_out_what_happens_once(clock, walk):
-    assert mo.seconds_per_step(mo.ParticleFilter(n=100), walk, np.zeros((40, 1))) == pytest.approx(5e-6)
+    assert mo.costs.seconds_per_step(mo.ParticleFilter(n=100), walk, np.zeros((40, 1))) == pytest.approx(5e-6)
     with pytest.raises(mo.MotesError) as error:
-        mo.seconds_per_step(mo.ParticleFilter(n=100), walk, np.zeros((1, 1)))
+        mo.costs.seconds_per_step(mo.ParticleFilter(n=100), walk, np.zeros((1, 1)))
     refused(error, "at least two measurements", "1")
 
 
 def test_line_through_known_times(clock, walk):
-    found = mo.fit_step_time(mo.ParticleFilter(n=7), walk, np.zeros((9, 1)), particles=(100, 500, 3000))
+    found = mo.costs.fit_step_time(mo.ParticleFilter(n=7), walk, np.zeros((9, 1)), particles=(100, 500, 3000))
     assert (found.fixed, found.per_particle) == pytest.approx((4e-6, 1e-8))
     assert np.abs(found.residuals).max() < 1e-9 and [n for n, _ in found.measured] == [100, 500, 3000]
     assert found.seconds(2000) == pytest.approx(24e-6) and found.particles(24.001e-6) == 2000
     for attempt, words in (
         (lambda: found.particles(4e-6), ("budget", "4.01e-06 s", "4e-06 s")),
-        (lambda: mo.fit_step_time(mo.KalmanFilter(), walk, np.zeros((9, 1))), ("number of particles n", "KalmanFilter")),
-        (lambda: mo.fit_step_time(mo.ParticleFilter(n=7), walk, np.zeros((9, 1)), particles=(5, 5)), ("different", "[5, 5]")),
-        (lambda: mo.fit_step_time(mo.ParticleFilter(n=7), walk, np.zeros((9, 1)), particles=(5, 0)), ("at least 1", "0")),
-        (lambda: mo.StepTime.fitted(((10, 2e-6), (20, 1e-6))), ("grow", "idle")),
+        (lambda: mo.costs.fit_step_time(mo.KalmanFilter(), walk, np.zeros((9, 1))), ("number of particles n", "KalmanFilter")),
+        (lambda: mo.costs.fit_step_time(mo.ParticleFilter(n=7), walk, np.zeros((9, 1)), particles=(5, 5)), ("different", "[5, 5]")),
+        (lambda: mo.costs.fit_step_time(mo.ParticleFilter(n=7), walk, np.zeros((9, 1)), particles=(5, 0)), ("at least 1", "0")),
+        (lambda: mo.costs.StepTime.fitted(((10, 2e-6), (20, 1e-6))), ("grow", "idle")),
     ):
         with pytest.raises(mo.MotesError) as error:
             attempt()
@@ -190,9 +190,9 @@ def test_line_weighs_relative_errors_and_has_no_negative_part():
     n, seconds = np.array([1.0, 10, 100]), np.array([3.0, 9, 120])
     rows = np.stack([1 / seconds, n / seconds], axis=1)
     expected = np.linalg.solve(rows.T @ rows, rows.T @ np.ones(3))
-    found = mo.StepTime.fitted(tuple(zip((1, 10, 100), seconds, strict=True)))
+    found = mo.costs.StepTime.fitted(tuple(zip((1, 10, 100), seconds, strict=True)))
     assert (found.fixed, found.per_particle) == pytest.approx(tuple(expected))
     assert min(found.residuals) < 0 < max(found.residuals)
-    steep = mo.StepTime.fitted(((10, 1e-6), (20, 4e-6)))
+    steep = mo.costs.StepTime.fitted(((10, 1e-6), (20, 4e-6)))
     # through zero: the sum of n / s over the sum of its squares
     assert steep.fixed == 0 and steep.per_particle == pytest.approx(1.5e7 / 1.25e14)

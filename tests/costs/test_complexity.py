@@ -8,8 +8,8 @@ import motes as mo
 from data import refused
 from motes.costs.complexity import TABLE_I, kalman_measurement_update, particle_ratio
 
-PAPER = mo.Costs.paper()
-FREE = mo.Costs(0, 0, 0)
+PAPER = mo.costs.Costs.paper()
+FREE = mo.costs.Costs(0, 0, 0)
 SIZES = [(p, k) for p in range(1, 8) for k in range(8)]
 
 
@@ -24,9 +24,9 @@ def test_the_papers_constants():
 @pytest.mark.parametrize(("p", "k"), SIZES)
 def test_table_sums_to_equation_11(p, k):
     """Except that (11) has 5 k^3 where the lines sum to 4 k^3."""
-    fixed = mo.complexity(p, k, 1, FREE) - (mo.complexity(p, k, 2, FREE) - mo.complexity(p, k, 1, FREE))
+    fixed = mo.costs.complexity(p, k, 1, FREE) - (mo.costs.complexity(p, k, 2, FREE) - mo.costs.complexity(p, k, 1, FREE))
     assert fixed == pytest.approx(printed(p, k, False) + k**3, abs=1e-9)
-    each = mo.complexity(p, k, 2, mo.Costs(1000, 200, 30)) - mo.complexity(p, k, 1, mo.Costs(1000, 200, 30))
+    each = mo.costs.complexity(p, k, 2, mo.costs.Costs(1000, 200, 30)) - mo.costs.complexity(p, k, 1, mo.costs.Costs(1000, 200, 30))
     assert each == pytest.approx(printed(p, k, True) + 1200 + 30 * p, abs=1e-9)
 
 
@@ -35,16 +35,16 @@ def test_equation_14():
     share = 1 - Fraction(4 * 125 + 56, 445 + 487 + 6 * 125 + 150)
     assert particle_ratio(2, 4, PAPER) == pytest.approx(float(1 / share), rel=1e-12)
     assert f"{particle_ratio(2, 4, PAPER):.5f}" == "1.43574"
-    assert f"{mo.equivalent_particles(2, 4, 2000, PAPER):.1f}" == "2871.3"
+    assert f"{mo.costs.equivalent_particles(2, 4, 2000, PAPER):.1f}" == "2871.3"
     assert f"{particle_ratio(4, 2, PAPER) * 1000:.0f}" == "1179"
 
 
 def test_equal_cost_is_equal():
     for measurement in ("nonlinear", "mixed"):
         for counts in ("paper", "corrected"):
-            n = mo.equivalent_particles(3, 4, 1500, PAPER, measurement, counts, 3)
-            low, high = (mo.complexity(3, 4, whole, PAPER, measurement, counts, 3) for whole in (int(n), int(n) + 1))
-            assert low <= mo.complexity(7, 0, 1500, PAPER, measurement, counts, 3) < high
+            n = mo.costs.equivalent_particles(3, 4, 1500, PAPER, measurement, counts, 3)
+            low, high = (mo.costs.complexity(3, 4, whole, PAPER, measurement, counts, 3) for whole in (int(n), int(n) + 1))
+            assert low <= mo.costs.complexity(7, 0, 1500, PAPER, measurement, counts, 3) < high
 
 
 def test_figure_1_always_gains():
@@ -67,14 +67,14 @@ def test_figure_2_both_ways():
 def test_corrected_counts():
     assert f"{particle_ratio(2, 4, PAPER, counts='corrected'):.4f}" == "1.4263"
     for p in range(1, 9):
-        plain = mo.complexity(p, 0, 11, FREE, counts="corrected") - mo.complexity(p, 0, 10, FREE, counts="corrected")
+        plain = mo.costs.complexity(p, 0, 11, FREE, counts="corrected") - mo.costs.complexity(p, 0, 10, FREE, counts="corrected")
         assert plain == 4 * p**2 - p
         # a plain filter has no covariance per particle, whatever is measured
-        assert mo.complexity(p, 0, 11, PAPER, "mixed", "corrected") == mo.complexity(p, 0, 11, PAPER, counts="corrected")
+        assert mo.costs.complexity(p, 0, 11, PAPER, "mixed", "corrected") == mo.costs.complexity(p, 0, 11, PAPER, counts="corrected")
     # all lines but T_6 and the constant of (11) agree
     for p, k in SIZES:
         if k:
-            difference = mo.complexity(p, k, 1, PAPER, counts="corrected") - mo.complexity(p, k, 1, PAPER)
+            difference = mo.costs.complexity(p, k, 1, PAPER, counts="corrected") - mo.costs.complexity(p, k, 1, PAPER)
             assert difference == pytest.approx(-(k**3) + 2 * k**2 * p - k**2 - 2 * k * p**2 + k * p)
 
 
@@ -108,5 +108,5 @@ def test_products_count_their_multiplications_and_additions():
 ])
 def test_refusals(arguments, words):
     with pytest.raises(mo.MotesError) as error:
-        mo.complexity(*arguments)
+        mo.costs.complexity(*arguments)
     refused(error, *words)

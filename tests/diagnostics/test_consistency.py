@@ -23,12 +23,12 @@ def test_squares_lie_in_their_bands_and_leave_them_where_noise_is_wrong(double):
     def one(key, assumed):
         xs, ys = mo.simulate(key, linear(), steps)
         history = mo.run(key, mo.KalmanFilter(), assumed, ys)
-        return mo.nees(history, xs), mo.nis(history), mo.coverage(history, xs, 0.9)
+        return mo.diagnostics.nees(history, xs), mo.diagnostics.nis(history), mo.diagnostics.coverage(history, xs, 0.9)
 
     for assumed, right in ((linear(), True), (linear(0.5), False)):
         states, innovations, covered = jax.vmap(one, in_axes=(0, None))(jax.random.split(jax.random.key(4), runs), assumed)
         for squares in (states, innovations):
-            low, high = mo.chi_square_band(2, runs, 1 - 1e-6)
+            low, high = mo.diagnostics.chi_square_band(2, runs, 1 - 1e-6)
             average = np.asarray(squares).mean(0)[1:]
             assert np.all((low < average) & (average < high)) == right
         share = np.asarray(covered).mean()
@@ -36,23 +36,28 @@ def test_squares_lie_in_their_bands_and_leave_them_where_noise_is_wrong(double):
 
 
 def test_band_by_hand():
-    low, high = mo.chi_square_band(1, 1, 0.95)
+    low, high = mo.diagnostics.chi_square_band(1, 1, 0.95)
     assert np.isclose(low, 0.000982069, rtol=1e-5) and np.isclose(high, 5.023886, rtol=1e-5)
 
 
 def test_angles_and_missing_steps(double):
     model = mo.StateSpaceModel(mo.Gaussian([3.1], [[0.01]]), mo.LinearGaussian([[1.0]], [[0.01]]), mo.LinearGaussian([[1.0]], [[0.01]]))
     history = mo.run(0, mo.KalmanFilter(), model, np.array([[3.1], [np.nan], [3.15]]))
-    assert float(mo.nees(history, history.mean - 2 * np.pi, angles=(0,)).max()) < 1e-9
-    assert float(mo.nees(history, history.mean - 2 * np.pi).min()) > 100
-    assert float(mo.nis(history)[1]) == 0 and float(mo.nis(history)[0]) == 0 and float(mo.nis(history)[2]) > 0
+    assert float(mo.diagnostics.nees(history, history.mean - 2 * np.pi, angles=(0,)).max()) < 1e-9
+    assert float(mo.diagnostics.nees(history, history.mean - 2 * np.pi).min()) > 100
+    assert (
+        float(mo.diagnostics.nis(history)[1]) == 0
+        and float(mo.diagnostics.nis(history)[0]) == 0
+        and float(mo.diagnostics.nis(history)[2]) > 0
+    )
 
 
 @pytest.mark.parametrize(("line", "call"), [
-    ("nees truth: expected shape", lambda h: mo.nees(h, np.zeros((2, 2)))),
-    ("coverage level: expected a probability", lambda h: mo.coverage(h, h.mean, 95)),
-    ("chi_square_band runs: expected", lambda h: mo.chi_square_band(2, 0)),
-    ("nis history: expected a run of a Kalman filter", lambda h: mo.nis(mo.run(0, mo.ParticleFilter(n=9), linear(), np.zeros((3, 2))))),
+    ("nees truth: expected shape", lambda h: mo.diagnostics.nees(h, np.zeros((2, 2)))),
+    ("coverage level: expected a probability", lambda h: mo.diagnostics.coverage(h, h.mean, 95)),
+    ("chi_square_band runs: expected", lambda h: mo.diagnostics.chi_square_band(2, 0)),
+    ("nis history: expected a run of a Kalman filter",
+     lambda h: mo.diagnostics.nis(mo.run(0, mo.ParticleFilter(n=9), linear(), np.zeros((3, 2))))),
 ])  # fmt: skip
 def test_bad_input_is_named(line, call):
     history = mo.run(0, mo.KalmanFilter(), linear(), jnp.zeros((3, 2)))

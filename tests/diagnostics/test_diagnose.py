@@ -60,7 +60,9 @@ def test_one_outlier_is_no_loss():
 def test_starvation_and_heavy_weights():
     """Noise of the sensor far below the spread of the prediction."""
     _, ys = mo.simulate(3, model(r=1e-7), 60)
-    history = mo.run(1, mo.ParticleFilter(n=300, policy=mo.Always(), on_collapse="predict"), model(r=1e-7), ys, keep=mo.keep.laws)
+    history = mo.run(
+        1, mo.ParticleFilter(n=300, policy=mo.resampling.Always(), on_collapse="predict"), model(r=1e-7), ys, keep=mo.keep.laws
+    )
     found = mo.diagnose(history)
     assert not found.trusted
     assert "starvation" in found or "lost" in found

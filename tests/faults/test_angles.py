@@ -35,10 +35,11 @@ WITHOUT_ANGLES_IN_THE_WAY = {
     "ParticleFilter, proposal": mo.ParticleFilter(
         n=300, proposal=mo.AdditiveGaussian(lambda x, uy, t: moved(x, uy[0], t), np.diag([0.3, 0.05]), angles=(1,))),
     "PointMassFilter": mo.PointMassFilter(**SMALL),
-    "RegularizedParticleFilter, before": mo.RegularizedParticleFilter(n=300, form="pre", regularization=mo.Regularization(shrink=True)),
+    "RegularizedParticleFilter, before": mo.RegularizedParticleFilter(
+        n=300, form="pre", regularization=mo.resampling.Regularization(shrink=True)),
     "EnsembleKalmanFilter, inflated": mo.EnsembleKalmanFilter(n=300, inflation=1.05),
-    "PaRIS": mo.PaRIS(n=60, function=lambda before, after, u, t: after[:1], size=1),
-    "ParticleFilter, transport": mo.ParticleFilter(n=60, scheme=mo.EntropicTransport()),
+    "PaRIS": mo.smoothers.PaRIS(n=60, function=lambda before, after, u, t: after[:1], size=1),
+    "ParticleFilter, transport": mo.ParticleFilter(n=60, scheme=mo.resampling.EntropicTransport()),
 }  # fmt: skip
 """In place of those of the contract suite whose knobs are for another model, and some more that average."""
 LINEAR = ("KalmanFilter", "SquareRootKalmanFilter")
@@ -147,16 +148,16 @@ def smoother_classes():
 
 CLOUD = mo.ParticleFilter(n=200)
 SMOOTHERS = {
-    "BackwardSimulationSmoother": (CLOUD, mo.BackwardSimulationSmoother(n=100)),
-    "BackwardSimulationSmoother, rejected": (CLOUD, mo.BackwardSimulationSmoother(n=100, parents=mo.RejectedParents())),
-    "GenealogySmoother": (CLOUD, mo.GenealogySmoother()),
-    "GenealogySmoother, lag": (CLOUD, mo.GenealogySmoother(lag=2)),
-    "MixtureSmoother": (mo.JumpMarkovFilter(n=100, sampled=("a",)), mo.MixtureSmoother(n=60)),
-    "MixtureSmoother, kernels": (mo.KalmanParticleKernelFilter(n=100), mo.MixtureSmoother(n=60)),
-    "RaoBlackwellizedSmoother": (mo.MarginalizedParticleFilter(n=100), mo.RaoBlackwellizedSmoother(n=60)),
-    "RauchTungStriebelSmoother": (mo.ExtendedKalmanFilter(), mo.RauchTungStriebelSmoother()),
-    "RauchTungStriebelSmoother, sigma": (mo.UnscentedKalmanFilter(), mo.RauchTungStriebelSmoother(mo.gaussian.Cubature())),
-    "TwoFilterSmoother": (CLOUD, mo.TwoFilterSmoother(n=200)),
+    "BackwardSimulationSmoother": (CLOUD, mo.smoothers.BackwardSimulationSmoother(n=100)),
+    "BackwardSimulationSmoother, rejected": (CLOUD, mo.smoothers.BackwardSimulationSmoother(n=100, parents=mo.smoothers.RejectedParents())),
+    "GenealogySmoother": (CLOUD, mo.smoothers.GenealogySmoother()),
+    "GenealogySmoother, lag": (CLOUD, mo.smoothers.GenealogySmoother(lag=2)),
+    "MixtureSmoother": (mo.JumpMarkovFilter(n=100, sampled=("a",)), mo.smoothers.MixtureSmoother(n=60)),
+    "MixtureSmoother, kernels": (mo.KalmanParticleKernelFilter(n=100), mo.smoothers.MixtureSmoother(n=60)),
+    "RaoBlackwellizedSmoother": (mo.MarginalizedParticleFilter(n=100), mo.smoothers.RaoBlackwellizedSmoother(n=60)),
+    "RauchTungStriebelSmoother": (mo.ExtendedKalmanFilter(), mo.smoothers.RauchTungStriebelSmoother()),
+    "RauchTungStriebelSmoother, sigma": (mo.UnscentedKalmanFilter(), mo.smoothers.RauchTungStriebelSmoother(mo.gaussian.Cubature())),
+    "TwoFilterSmoother": (CLOUD, mo.smoothers.TwoFilterSmoother(n=200)),
 }  # fmt: skip
 
 
@@ -192,7 +193,10 @@ def test_laws_on_another_branch_than_the_dynamics(fault, monkeypatch):
     """A filter left the heading unwrapped, and the smoother's dynamics wrap it: the same angles all the same."""
     if fault:
         monkeypatch.setattr("motes.smoothers.rao_blackwellized.wrap", lambda difference, angles: difference)
-    assert smoothed_alike(mo.MarginalizedParticleFilter(n=100 - fault), mo.RaoBlackwellizedSmoother(n=60), filtered=False) is not fault
+    assert (
+        smoothed_alike(mo.MarginalizedParticleFilter(n=100 - fault), mo.smoothers.RaoBlackwellizedSmoother(n=60), filtered=False)
+        is not fault
+    )
 
 
 def mixed(x_p, u, t):
@@ -287,10 +291,10 @@ def test_errors_are_judged_the_short_way_round():
     history = both(CLOUD)[0]
     xs = world()[0]
     assert history.circular == (1,)
-    judged = np.asarray(mo.nees(history, xs))
-    np.testing.assert_allclose(mo.nees(history, xs + np.array([0, TURN])), judged, rtol=1e-2, atol=1e-3)
+    judged = np.asarray(mo.diagnostics.nees(history, xs))
+    np.testing.assert_allclose(mo.diagnostics.nees(history, xs + np.array([0, TURN])), judged, rtol=1e-2, atol=1e-3)
     assert judged.mean() < 6
-    assert float(mo.coverage(history, xs)[1]) > 0.8
+    assert float(mo.diagnostics.coverage(history, xs)[1]) > 0.8
 
 
 def test_a_saved_history_knows_its_angles(tmp_path):

@@ -72,7 +72,7 @@ def test_silence_is_noticed(untold, monkeypatch):
 
 WALK = mo.Custom(sample=lambda key, x, u, t: x + jax.random.normal(key, (2,)))
 CASES = {
-    "scheme": (mo.ParticleFilter(n=300, scheme=mo.Stratified()), "move", "Stratified resampling"),
+    "scheme": (mo.ParticleFilter(n=300, scheme=mo.resampling.Stratified()), "move", "Stratified resampling"),
     "few": (mo.ParticleFilter(n=100), "weigh", "fewer than 256 particles"),
     "proposal": (mo.ParticleFilter(n=300, proposal=mo.ExtendedKalmanProposal()), "move", "particles are moved by a proposal"),
     "no stages": (mo.KalmanFilter(), "everything", "KalmanFilter has no stage with native kernels"),

@@ -31,7 +31,7 @@ def small(name):
 
 @pytest.mark.parametrize("name", [name for name in PICKING if not name.startswith("Cost")])
 def test_a_filter_that_picks_says_so(name):
-    with pytest.warns(mo.MotesWarning, match="mo.StopGradient"):
+    with pytest.warns(mo.MotesWarning, match="mo.resampling.StopGradient"):
         jax.eval_shape(jax.grad(lambda a: value(a, small(name))), 0.7)
 
 
@@ -46,8 +46,9 @@ def test_every_way_to_differentiate_is_seen(closed):
 
 @pytest.mark.parametrize(
     "filter",
-    [mo.KalmanFilter(), mo.GaussianParticleFilter(n=20), mo.ParticleFilter(n=20, policy=mo.Never()),
-     mo.ParticleFilter(n=20, scheme=mo.StopGradient(mo.Systematic())), mo.ParticleFilter(n=20, scheme=mo.EntropicTransport())],
+    [mo.KalmanFilter(), mo.GaussianParticleFilter(n=20), mo.ParticleFilter(n=20, policy=mo.resampling.Never()),
+     mo.ParticleFilter(n=20, scheme=mo.resampling.StopGradient(mo.resampling.Systematic())),
+     mo.ParticleFilter(n=20, scheme=mo.resampling.EntropicTransport())],
     ids=["kalman", "gaussian", "never", "stop", "transport"],
 )  # fmt: skip
 def test_others_are_silent(filter):

@@ -31,7 +31,7 @@ def in_double(x: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return mean, np.array([[(a * weights) @ b for b in off] for a in off])
 
 
-def shortfall(found: tuple[jax.Array, jax.Array], law: mo.Cloud) -> float:
+def shortfall(found: tuple[jax.Array, jax.Array], law: mo.laws.Cloud) -> float:
     """The larger error of a mean and covariance, in Monte Carlo standard errors (of weights that differ little)."""
     n = law.particles.shape[-1]
     mean, cov = in_double(np.asarray(law.particles), np.exp(np.asarray(law.log_weights, np.float64)))
@@ -39,7 +39,7 @@ def shortfall(found: tuple[jax.Array, jax.Array], law: mo.Cloud) -> float:
     return max(off, np.abs(np.asarray(found[1]) - cov).max() / (25 * np.sqrt(2 / n)))
 
 
-def one_product(law: mo.Cloud) -> tuple[jax.Array, jax.Array]:
+def one_product(law: mo.laws.Cloud) -> tuple[jax.Array, jax.Array]:
     """The textbook's sums, each in one go: what the library did."""
     mean = jnp.matmul(law.particles, law.weights, precision="highest")
     off = law.particles - mean[:, None]
@@ -48,7 +48,7 @@ def one_product(law: mo.Cloud) -> tuple[jax.Array, jax.Array]:
 
 @pytest.mark.parametrize("engine", each(["jax", "native"], {"native"}))
 def test_cloud(engine: str) -> None:
-    law = mo.Cloud(points(6, N), uneven(N), jnp.zeros((N,), jnp.int32))
+    law = mo.laws.Cloud(points(6, N), uneven(N), jnp.zeros((N,), jnp.int32))
     with mo.engine(engine):
         assert shortfall((law.mean(), law.cov()), law) < 0.1
     assert shortfall(one_product(law), law) > 0.1
@@ -59,7 +59,7 @@ def test_what_gaussians_leave() -> None:
     cov = 1 + jax.random.uniform(jax.random.key(2), (2, 2, N))
     right = np.asarray(cov).mean(axis=-1, dtype=np.float64)
     kalman = Gaussian(jnp.full((2, N), 300.0), cov + jnp.eye(2)[..., None])
-    equal = mo.Cloud.equal(jnp.zeros((1, N)))
+    equal = mo.laws.Cloud.equal(jnp.zeros((1, N)))
     marginal = MarginalCloud(equal.particles, kalman, equal.log_weights, equal.ancestors, (0, 1, 2))
     for law in (marginal, mo.Mixture(kalman, equal.log_weights)):
         assert np.abs(np.asarray(law.cov())[-2:, -2:] - right - np.eye(2)).max() < 0.1 * 0.3 / np.sqrt(N)
@@ -82,5 +82,5 @@ def test_a_large_ensemble() -> None:
 
 @pytest.mark.night  # 2.4 GB of particles
 def test_a_hundred_million() -> None:
-    law = mo.Cloud.equal(points(2, MOST))
+    law = mo.laws.Cloud.equal(points(2, MOST))
     assert shortfall((law.mean(), law.cov()), law) < 0.1

@@ -91,7 +91,7 @@ def calls(ys, history):
         "run": (lambda: mo.run(0, filter, MODEL, ys), WANTED),
         "run_in_chunks": (lambda: next(mo.run_in_chunks(0, filter, MODEL, ys, chunk=5)), WANTED[:5]),
         "run_in_parallel": (lambda: mo.run_in_parallel(MODEL, ys), WANTED),
-        "smooth": (lambda: mo.smooth(0, mo.RauchTungStriebelSmoother(), MODEL, history, ys), WANTED),
+        "smooth": (lambda: mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), MODEL, history, ys), WANTED),
         "stream": (lambda: begun(first), WANTED[4]),
         "seconds_per_step": (lambda: measure.seconds_per_step(filter, MODEL, ys), WANTED),
         "Posterior": (lambda: mo.parameters.Posterior(prior, lambda theta: MODEL, filter, ys)(jnp.zeros(1)), WANTED),
@@ -175,11 +175,11 @@ def test_unknown_inputs_are_refused_with_their_row(form):
         lambda: mo.simulate(0, model, STEPS, inputs),
         lambda: next(mo.run_in_chunks(0, mo.KalmanFilter(), model, ys, inputs)),
         lambda: mo.run_in_parallel(model, ys, inputs),
-        lambda: mo.kalman_at_truth(model, np.zeros((STEPS, 1)), inputs),
-        lambda: mo.posterior_cramer_rao(0, model, STEPS, inputs=inputs),
+        lambda: mo.bounds.kalman_at_truth(model, np.zeros((STEPS, 1)), inputs),
+        lambda: mo.bounds.posterior_cramer_rao(0, model, STEPS, inputs=inputs),
         lambda: mo.parameters.Posterior(prior, lambda theta: model, mo.KalmanFilter(), ys, inputs),
         lambda: mo.Experiment(model, {"kf": mo.KalmanFilter()}, STEPS, 2, inputs=inputs),
-        lambda: mo.Pilot(inputs=inputs),
+        lambda: mo.planning.Pilot(inputs=inputs),
     ]
     for attempt in attempts:
         with pytest.raises(mo.MotesError, match=r"nputs\['v'\]: expected finite numbers, got (nan|-inf|1e\+39) in row 4\. Only"):

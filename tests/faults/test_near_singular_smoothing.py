@@ -98,7 +98,7 @@ def test_arma_with_a_gap(name: str) -> None:
         with jax.enable_x64(bits):
             model = mo.StateSpaceModel(mo.Gaussian(np.zeros(2), P0), mo.LinearGaussian(A, Q), mo.LinearGaussian(H, [[r]]))
             for label, filter in FILTERS.items():
-                smoother = mo.RauchTungStriebelSmoother()
+                smoother = mo.smoothers.RauchTungStriebelSmoother()
                 found = mo.smooth(0, smoother, model, mo.run(0, filter, model, ys[:, None]))
                 np.testing.assert_allclose(np.asarray(found.mean), mean, atol=atol, err_msg=label)
                 np.testing.assert_allclose(np.asarray(found.cov), cov, atol=atol, err_msg=label)
@@ -111,7 +111,7 @@ def test_what_is_noise_matters(monkeypatch: pytest.MonkeyPatch) -> None:
     _, cov = smoothed_exactly(P0, A, Q, H, r, ys)
     model = mo.StateSpaceModel(mo.Gaussian(np.zeros(2), P0), mo.LinearGaussian(A, Q), mo.LinearGaussian(H, [[r]]))
     jax.clear_caches()
-    found = mo.smooth(0, mo.RauchTungStriebelSmoother(), model, mo.run(0, mo.KalmanFilter(), model, ys[:, None]))
+    found = mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), model, mo.run(0, mo.KalmanFilter(), model, ys[:, None]))
     jax.clear_caches()
     assert np.abs(np.asarray(found.cov) - cov).max() > 0.1
 
@@ -128,7 +128,7 @@ def test_wide_priors_in_float32() -> None:
                 mo.LinearGaussian([[1.0, 0]], [[1.0]]),
             )
             history = mo.run(0, mo.SquareRootKalmanFilter(), model, ys[:, None])
-            done = mo.smooth(0, mo.RauchTungStriebelSmoother(), model, history)
+            done = mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), model, history)
             found[bits] = np.asarray(done.mean, float), np.asarray(done.cov, float)
     for single, right in zip(found[False], found[True], strict=True):
         np.testing.assert_allclose(single, right, rtol=2e-3, atol=2e-3)

@@ -42,10 +42,10 @@ def test_laws_of_every_filter_come_back(name, tmp_path):
 
 
 SMOOTHED = {
-    "KalmanFilter": [mo.RauchTungStriebelSmoother(), mo.BackwardSimulationSmoother(5)],
-    "ParticleFilter": [mo.GenealogySmoother(), mo.BackwardSimulationSmoother(5)],
-    "MarginalizedParticleFilter, one state": [mo.RaoBlackwellizedSmoother(5)],
-    "JumpMarkovFilter": [mo.MixtureSmoother(5)],
+    "KalmanFilter": [mo.smoothers.RauchTungStriebelSmoother(), mo.smoothers.BackwardSimulationSmoother(5)],
+    "ParticleFilter": [mo.smoothers.GenealogySmoother(), mo.smoothers.BackwardSimulationSmoother(5)],
+    "MarginalizedParticleFilter, one state": [mo.smoothers.RaoBlackwellizedSmoother(5)],
+    "JumpMarkovFilter": [mo.smoothers.MixtureSmoother(5)],
 }
 
 
@@ -111,7 +111,7 @@ def test_older_files_say_what_they_cannot(tmp_path):
     whole = mo.run(0, mo.KalmanFilter(), MODEL, YS)
     np.testing.assert_array_equal(mo.run(0, mo.KalmanFilter(), MODEL, YS[4:], after=loaded).mean, whole.mean[4:])
     with pytest.raises(mo.MotesError, match="smooth history: expected a history whose laws are known, got one from a file that"):
-        mo.smooth(0, mo.RauchTungStriebelSmoother(), MODEL, loaded)
+        mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), MODEL, loaded)
     with pytest.raises(mo.MotesError, match="run after: state: "):
         mo.run(0, mo.ParticleFilter(50), MODEL, YS[4:], after=loaded)
 

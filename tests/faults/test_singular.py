@@ -138,11 +138,11 @@ def driven(A, noise):
 STEPS = np.array([1.0, 1, 0, 1, 1, 0, 1], np.float32)[:, None][:, 0]
 A = np.array([[1.0, 1.0], [0.0, 1.0]])
 SMOOTHERS = {
-    "genealogy": (mo.GenealogySmoother(), mo.ParticleFilter(1500)),
-    "exact": (mo.BackwardSimulationSmoother(600), mo.ParticleFilter(1500)),
-    "rejected": (mo.BackwardSimulationSmoother(600, parents=mo.RejectedParents(4)), mo.ParticleFilter(1500)),
-    "stepped": (mo.BackwardSimulationSmoother(600, parents=mo.SteppedParents(4)), mo.ParticleFilter(1500)),
-    "Rao-Blackwellized": (mo.RaoBlackwellizedSmoother(400), mo.MarginalizedParticleFilter(800, linear=(1,))),
+    "genealogy": (mo.smoothers.GenealogySmoother(), mo.ParticleFilter(1500)),
+    "exact": (mo.smoothers.BackwardSimulationSmoother(600), mo.ParticleFilter(1500)),
+    "rejected": (mo.smoothers.BackwardSimulationSmoother(600, parents=mo.smoothers.RejectedParents(4)), mo.ParticleFilter(1500)),
+    "stepped": (mo.smoothers.BackwardSimulationSmoother(600, parents=mo.smoothers.SteppedParents(4)), mo.ParticleFilter(1500)),
+    "Rao-Blackwellized": (mo.smoothers.RaoBlackwellizedSmoother(400), mo.MarginalizedParticleFilter(800, linear=(1,))),
 }
 
 
@@ -159,7 +159,7 @@ def test_paths_obey_the_law_of_motion(name, double):
     """A genealogy of some hundred particles at the first step: means within a quarter of a standard deviation of the exact ones."""
     model, (smoother, filter) = driven(A, 0.09), SMOOTHERS[name]
     ys = np.asarray(mo.simulate(5, model, len(STEPS), STEPS)[1])
-    wanted = mo.smooth(0, mo.RauchTungStriebelSmoother(), model, mo.run(0, mo.KalmanFilter(), model, ys, STEPS), inputs=STEPS)
+    wanted = mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), model, mo.run(0, mo.KalmanFilter(), model, ys, STEPS), inputs=STEPS)
     found = mo.smooth(1, smoother, model, mo.run(2, filter, model, ys, STEPS, mo.keep.laws), inputs=STEPS)
     deviations = np.sqrt(np.asarray(wanted.cov)[:, [0, 1], [0, 1]])
     assert breach(found.paths) < 1e-4
@@ -172,10 +172,10 @@ def test_what_cannot_be_smoothed_is_refused():
     ys = np.asarray(mo.simulate(5, model, len(STEPS), STEPS)[1])
     history = mo.run(2, mo.ParticleFilter(100), model, ys, STEPS, mo.keep.laws)
     with pytest.raises(mo.MotesError, match="TwoFilterSmoother history: expected dynamics with noise .* BackwardSimulationSmoother"):
-        mo.smooth(0, mo.TwoFilterSmoother(100), model, history, ys, STEPS)
+        mo.smooth(0, mo.smoothers.TwoFilterSmoother(100), model, history, ys, STEPS)
     moved = mo.run(2, mo.EnsembleKalmanFilter(100), model, ys, STEPS, mo.keep.laws)
     with pytest.raises(mo.MotesError, match="BackwardSimulationSmoother history: expected states that the dynamics alone led to"):
-        mo.smooth(0, mo.BackwardSimulationSmoother(100), model, moved, ys, STEPS)
+        mo.smooth(0, mo.smoothers.BackwardSimulationSmoother(100), model, moved, ys, STEPS)
 
 
 def test_a_grid_stands_still_or_is_refused():

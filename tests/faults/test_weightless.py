@@ -46,7 +46,7 @@ def test_lighter_ones_take_turns():
 
 def test_chains_that_met_nothing_are_drawn_by_weight():
     log_weights = jnp.where(jnp.arange(5000) == 4321, 0.0, -jnp.inf)
-    assert np.all(np.asarray(mo.MetropolisResampling(8).ancestors(jax.random.key(0), log_weights, 5000)) == 4321)
+    assert np.all(np.asarray(mo.resampling.MetropolisResampling(8).ancestors(jax.random.key(0), log_weights, 5000)) == 4321)
 
 
 @pytest.mark.parametrize("span", [1.0, 1e3, 1e9, 1e15])

@@ -118,16 +118,16 @@ CASES = {
     "nothing to score at": (
         lambda: run_with(mo.AuxiliaryParticleFilter(n=3), model=good_model(dynamics=mo.Custom(sample=lambda key, x, u, t: x))),
         "AuxiliaryParticleFilter dynamics: expected a mean function (particles are scored at it), got Custom. Use a ParticleFilter."),
-    "Metropolis steps": (lambda: mo.MetropolisResampling(steps=0), "MetropolisResampling steps: expected a whole number of at least 1, got 0"),
-    "trials": (lambda: mo.RejectionResampling(trials=2.5), "RejectionResampling trials: expected a whole number of at least 1, got 2.5"),
-    "entropy of transport": (lambda: mo.EntropicTransport(entropy=0.0), "EntropicTransport entropy: expected a number above 0, got 0.0"),
+    "Metropolis steps": (lambda: mo.resampling.MetropolisResampling(steps=0), "MetropolisResampling steps: expected a whole number of at least 1, got 0"),
+    "trials": (lambda: mo.resampling.RejectionResampling(trials=2.5), "RejectionResampling trials: expected a whole number of at least 1, got 2.5"),
+    "entropy of transport": (lambda: mo.resampling.EntropicTransport(entropy=0.0), "EntropicTransport entropy: expected a number above 0, got 0.0"),
     "transport of scores": (
-        lambda: run_with(mo.AuxiliaryParticleFilter(n=9, scheme=mo.EntropicTransport())),
+        lambda: run_with(mo.AuxiliaryParticleFilter(n=9, scheme=mo.resampling.EntropicTransport())),
         "EntropicTransport: expected a filter with a Cloud that does not look ahead by scores, got one with scores. Use Systematic."),
     "transport of Gaussians": (
-        lambda: run_with(mo.MarginalizedParticleFilter(n=9, scheme=mo.EntropicTransport())), "does not look ahead by scores, got MarginalCloud"),
+        lambda: run_with(mo.MarginalizedParticleFilter(n=9, scheme=mo.resampling.EntropicTransport())), "does not look ahead by scores, got MarginalCloud"),
     "transport of costs": (
-        lambda: run_with(mo.CostReferenceParticleFilter(n=9, scheme=mo.EntropicTransport())),
+        lambda: run_with(mo.CostReferenceParticleFilter(n=9, scheme=mo.resampling.EntropicTransport())),
         "EntropicTransport: expected a filter that moves the particles of a Cloud, got one that asks for ancestors."),
     "auxiliary n": (lambda: mo.AuxiliaryParticleFilter(n=0), "AuxiliaryParticleFilter n: expected a whole number of at least 1, got 0"),
     "kernel width": (lambda: mo.KalmanParticleKernelFilter(n=3, width=1.5), "KalmanParticleKernelFilter width: expected a number above 0 and at most 1, got 1.5"),
@@ -136,11 +136,11 @@ CASES = {
     "kernel noise": (
         lambda: run_with(mo.KalmanParticleKernelFilter(n=3), model=good_model(sensor=mo.AdditiveNoise(lambda x, u, t: x[:1], mo.Laplace([0.5])))),
         "KalmanParticleKernelFilter sensor: expected additive Gaussian noise (kernels are corrected by Kalman filters), got AdditiveNoise"),
-    "kernel cap": (lambda: mo.SplitKernels(cap=0.0), "SplitKernels cap: expected a number above 0 and at most 1, got 0.0"),
-    "regularization": (lambda: mo.Regularization("box"), "Regularization kernel: expected one of 'gaussian', 'epanechnikov', got 'box'"),
+    "kernel cap": (lambda: mo.resampling.SplitKernels(cap=0.0), "SplitKernels cap: expected a number above 0 and at most 1, got 0.0"),
+    "regularization": (lambda: mo.resampling.Regularization("box"), "Regularization kernel: expected one of 'gaussian', 'epanechnikov', got 'box'"),
     "regularized form": (lambda: mo.RegularizedParticleFilter(n=3, form="both"), "RegularizedParticleFilter form: expected one of 'post', 'pre', 'metropolis'"),
     "shrinking proposals": (
-        lambda: mo.RegularizedParticleFilter(n=3, form="metropolis", regularization=mo.Regularization(shrink=True)),
+        lambda: mo.RegularizedParticleFilter(n=3, form="metropolis", regularization=mo.resampling.Regularization(shrink=True)),
         "RegularizedParticleFilter regularization: expected no shrinkage with 'metropolis'"),
     "unscented alpha": (lambda: mo.UnscentedKalmanFilter(alpha=0.0), "UnscentedKalmanFilter alpha: expected a number above 0, got 0.0"),
     "unscented kappa": (lambda: run_with(mo.UnscentedKalmanFilter(kappa=-2.0)), "UnscentedKalmanFilter kappa: expected a number above -2 (minus the number of states), got -2.0"),
@@ -170,7 +170,7 @@ CASES = {
         "InteractingMultipleModel sensor: expected a mean function and a noise covariance, got Custom"),
     "modes of no chain": (lambda: run_with(keep=mo.keep.modes), "keep.modes: expected a filter of jump-Markov systems, or a cloud of a joined model, got one whose law is a Cloud, of a model without modes"),
     "modes not kept": (lambda: run_with().mode_probabilities, "got one that kept cov and mean. Run with keep=mo.keep.modes."),
-    "delta": (lambda: mo.InverseExcess(delta=0.0), "InverseExcess delta: expected a number above 0, got 0.0"),
+    "delta": (lambda: mo.resampling.InverseExcess(delta=0.0), "InverseExcess delta: expected a number above 0, got 0.0"),
     "grid ends": (lambda: mo.PointMassFilter(1.0, 0.0, 9), "PointMassFilter lower: expected numbers below those of upper"),
     "grid dimensions": (lambda: run_with(mo.PointMassFilter(0.0, 1.0, 9)), "PointMassFilter nodes: expected 2 dimensions (states of the model), got 1"),
     "not linear for Kalman": (lambda: run_with(mo.KalmanFilter()), "KalmanFilter model: expected a linear-Gaussian model, got a: sensor is nonlinear in it"),

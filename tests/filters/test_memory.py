@@ -32,6 +32,6 @@ def test_memory_does_not_grow_with_steps(filter):
 
     short, long = working(SHORT, mo.keep.nothing), working(LONG, mo.keep.nothing)
     # the record of each step is a few numbers, held twice while it is put together; the rest is particles
-    records = 2 * len(dataclasses.fields(mo.Info)) * 4 * LONG
+    records = 2 * len(dataclasses.fields(mo.filters.Info)) * 4 * LONG
     assert short > 2 * N * 4
     assert long - records < 1.2 * short

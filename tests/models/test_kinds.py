@@ -51,7 +51,7 @@ def test_a_new_kind_of_model_is_simulated_filtered_smoothed_and_studied():
     stream = mo.stream(2, mo.KalmanFilter(), model)
     stream.update(ys[0])
     assert np.allclose(stream.mean, exact.mean[0], atol=1e-4)
-    smoothed = mo.smooth(3, mo.RauchTungStriebelSmoother(), model, exact)
+    smoothed = mo.smooth(3, mo.smoothers.RauchTungStriebelSmoother(), model, exact)
     assert np.allclose(smoothed.mean[-1], exact.mean[-1], atol=1e-4)
     assert mo.structure(model).linear == (0, 1)
     result = mo.study(mo.Experiment(model, {"exact": mo.KalmanFilter()}, steps=6, runs=2))
@@ -121,7 +121,10 @@ def test_functions_of_the_users_see_the_users_inputs_where_noises_are_correlated
     def added(before, after, u, t):
         return asked(lambda x, u, t: u["dt"] * x)(after, u, t)
 
-    guided = {"proposal": mo.ParticleFilter(n=8, proposal=mo.AdditiveGaussian(proposed, np.eye(2))), "sums": mo.PaRIS(8, added, 2)}
+    guided = {
+        "proposal": mo.ParticleFilter(n=8, proposal=mo.AdditiveGaussian(proposed, np.eye(2))),
+        "sums": mo.smoothers.PaRIS(8, added, 2),
+    }
     for name, filter in (FILTERS | guided).items():
         seen.clear()
         jax.eval_shape(lambda filter=filter: mo.run(0, filter, model, ys, inputs).mean)

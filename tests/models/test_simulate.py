@@ -32,6 +32,6 @@ def test_filter_with_the_same_seed_does_not_know_the_truth():
     law = mo.Gaussian(jnp.zeros(2), jnp.eye(2))
     model = mo.StateSpaceModel(law, mo.LinearGaussian(jnp.eye(2), jnp.eye(2)), mo.LinearGaussian(jnp.eye(2), jnp.eye(2)))
     xs, ys = mo.simulate(0, model, 3)
-    history = mo.run(0, mo.ParticleFilter(n=50, policy=mo.Never()), model, ys, keep=mo.keep.laws)
+    history = mo.run(0, mo.ParticleFilter(n=50, policy=mo.resampling.Never()), model, ys, keep=mo.keep.laws)
     distance = np.abs(np.asarray(history.law.particles) - np.asarray(xs)[:, :, None]).max(axis=1)
     assert distance.min() > 1e-4

@@ -199,9 +199,9 @@ def test_densities_that_are_no_numbers_are_told():
         montecarlo.importance_sampling(0, lambda x: x[0], lambda x: jnp.where(x[0] > 0, LAW.log_prob(x), jnp.nan), LAW, 1_000)
     for n in (1_000, 10_000):
         log_weights = jnp.where(jnp.arange(n) % 50 == 0, 0.0, -jnp.inf)
-        assert mo.pareto_k(log_weights) == -np.inf
+        assert mo.diagnostics.pareto_k(log_weights) == -np.inf
         heavy = jnp.where(log_weights == 0, -2.0 * jnp.log(jax.random.uniform(jax.random.key(1), (n,))), -jnp.inf)
-        assert np.isnan(mo.pareto_k(jnp.full(n, -jnp.inf))) and (n == 1_000 or 0.8 < mo.pareto_k(heavy) < 3)
+        assert np.isnan(mo.diagnostics.pareto_k(jnp.full(n, -jnp.inf))) and (n == 1_000 or 0.8 < mo.diagnostics.pareto_k(heavy) < 3)
     with pytest.raises(mo.MotesError, match="multiple_importance_sampling n: expected one number for each of the 2"):
         montecarlo.multiple_importance_sampling(0, lambda x: x[0], LAW, [LAW, LAW], 1_000)
     with pytest.raises(mo.MotesError, match="importance_sampling n: expected at least 2"):

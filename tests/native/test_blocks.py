@@ -30,9 +30,9 @@ def log_weights(kind, n):
 KINDS = ("mild", "wild", "equal", "one", "last", "halves", "gaps", "steep", "tiny tail")
 
 
-def ancestors(key, weights, policy=mo.Always()):  # noqa: B008
+def ancestors(key, weights, policy=mo.resampling.Always()):  # noqa: B008
     with engine.using("native"):
-        return jax.jit(lambda key, weights: blocks.ancestors(key, mo.Systematic(), policy, weights))(key, weights)
+        return jax.jit(lambda key, weights: blocks.ancestors(key, mo.resampling.Systematic(), policy, weights))(key, weights)
 
 
 @pytest.mark.parametrize("n", [256, 1000, 1024, 100_000])
@@ -51,7 +51,7 @@ def test_systematic_ancestors(kind, n):
     u = float(random.uniform(key, (), jnp.float32))
     wanted = np.searchsorted(np.cumsum(exact) * n, np.arange(n) + u, side="left")
     assert (chosen != wanted).mean() < 2e-3
-    assert (chosen != np.asarray(mo.Systematic().ancestors(key, weights, n))).mean() < 2e-3
+    assert (chosen != np.asarray(mo.resampling.Systematic().ancestors(key, weights, n))).mean() < 2e-3
 
 
 @pytest.mark.parametrize("u_seed", range(5))
@@ -61,12 +61,15 @@ def test_ancestors_are_unbiased(u_seed):
     weights = log_weights("mild", n)
     keys = jax.random.split(jax.random.key(u_seed), 400)
     with engine.using("native"):
-        drawn = jax.vmap(lambda key: blocks.ancestors(key, mo.Systematic(), mo.Always(), weights)[0])(keys)
+        drawn = jax.vmap(lambda key: blocks.ancestors(key, mo.resampling.Systematic(), mo.resampling.Always(), weights)[0])(keys)
     counts = np.stack([np.bincount(row, minlength=n) for row in np.asarray(drawn)])
     assert np.abs(counts.mean(axis=0) - n * np.exp(np.asarray(weights, np.float64))).max() < 6 * 0.5 / np.sqrt(400)
 
 
-@pytest.mark.parametrize("policy", [mo.Never(), mo.ESS(0.5), mo.ESS(0.05), mo.Entropy(0.1), mo.Entropy(3.0)])
+@pytest.mark.parametrize(
+    "policy",
+    [mo.resampling.Never(), mo.resampling.ESS(0.5), mo.resampling.ESS(0.05), mo.resampling.Entropy(0.1), mo.resampling.Entropy(3.0)],
+)
 @pytest.mark.parametrize("kind", ["mild", "steep", "equal"])
 def test_policies(kind, policy):
     weights = log_weights(kind, 5000)

@@ -62,7 +62,7 @@ def runs(filter, model, ys=YS, key=5, **options):
 @pytest.mark.parametrize("name", each(list(MODELS), {"correlated noises", "turning", "linear dynamics", "measured and hidden"}))
 def test_results_of_jax_without_resampling(kind, name):
     """Nothing is chaotic without resampling: every number of the history agrees."""
-    filter = FILTERS[kind](n=1500, policy=mo.Never(), on_collapse="predict")
+    filter = FILTERS[kind](n=1500, policy=mo.resampling.Never(), on_collapse="predict")
     wanted, ours = runs(filter, MODELS[name])
     assert wanted.engine == "jax" and ours.engine == "native"
     spread = np.sqrt(np.diagonal(wanted.cov, axis1=1, axis2=2)) + 1e-3
@@ -75,7 +75,13 @@ def test_results_of_jax_without_resampling(kind, name):
 
 
 @needs_compiler
-@pytest.mark.parametrize("policy", each([mo.Always(), mo.ESS(0.5), mo.Entropy(0.7)], {str(mo.Always()), str(mo.Entropy(0.7))}))
+@pytest.mark.parametrize(
+    "policy",
+    each(
+        [mo.resampling.Always(), mo.resampling.ESS(0.5), mo.resampling.Entropy(0.7)],
+        {str(mo.resampling.Always()), str(mo.resampling.Entropy(0.7))},
+    ),
+)
 @pytest.mark.parametrize("kind", FILTERS)
 def test_likelihood_of_jax_with_resampling(kind, policy):
     """After resampling a rounding here and there gives another ancestor: results agree within Monte Carlo error, at first to rounding."""
@@ -115,7 +121,7 @@ def test_same_bits_however_it_runs(kind, model):
 @needs_compiler
 @pytest.mark.parametrize("kind", each(list(FILTERS), {"marginalized"}))
 def test_gradients_are_those_of_jax(kind):
-    filter = FILTERS[kind](n=600, policy=mo.Never())
+    filter = FILTERS[kind](n=600, policy=mo.resampling.Never())
 
     def score(scale):
         model = mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, scale * Q), SENSOR, NAMES)
@@ -144,7 +150,7 @@ def test_collapse_is_seen():
 def test_likelihoods_that_are_no_numbers_get_no_weight():
     sensor = mo.AdditiveGaussian(lambda x, u, t: jnp.where(x[:1] > 0, x[:1], jnp.nan), [[1.0]])
     model = mo.StateSpaceModel(mo.Gaussian([0.5], [[1.0]]), mo.LinearGaussian([[0.9]], [[1.0]]), sensor)
-    wanted, ours = runs(mo.ParticleFilter(n=5000, policy=mo.Never()), model, np.ones((4, 1)))
+    wanted, ours = runs(mo.ParticleFilter(n=5000, policy=mo.resampling.Never()), model, np.ones((4, 1)))
     assert np.array_equal(ours.info.invalid, wanted.info.invalid) and int(ours.info.invalid[0]) > 1000
     assert np.allclose(ours.mean, wanted.mean, atol=1e-4)
 
@@ -153,9 +159,9 @@ def test_likelihoods_that_are_no_numbers_get_no_weight():
 def test_what_runs_is_explained():
     text = str(mo.explain(mo.ParticleFilter(n=1000), RADAR))
     assert "move" in text and "native, fused" in text and "engine in force   jax" in text
-    stages = dict(mo.explain(mo.ParticleFilter(n=1000, scheme=mo.Stratified()), RADAR).stages)
+    stages = dict(mo.explain(mo.ParticleFilter(n=1000, scheme=mo.resampling.Stratified()), RADAR).stages)
     assert stages["move"] == "native kernels around JAX: Stratified resampling" and stages["weigh"].startswith("native, fused")
-    stages = dict(mo.explain(mo.ParticleFilter(n=1000, scheme=mo.StopGradient()), RADAR).stages)
+    stages = dict(mo.explain(mo.ParticleFilter(n=1000, scheme=mo.resampling.StopGradient()), RADAR).stages)
     assert stages["move"] == "native kernels around JAX: StopGradient resampling"
     looping = mo.AdditiveGaussian(lambda x, u, t: jax.lax.while_loop(lambda z: z[0] < 0, lambda z: z + 1, x)[:1], [[1.0]])
     stages = dict(mo.explain(mo.ParticleFilter(n=1000), mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q), looping)).stages)
@@ -177,7 +183,7 @@ def test_float64_is_left_to_jax(double):
 def test_models_that_do_not_translate_run_all_the_same():
     """A sampler with a key for each particle: JAX moves, native kernels resample and weigh; without resampling nothing differs."""
     step = mo.Custom(sample=lambda key, x, u, t: A @ x + jax.random.normal(key, (6,)))
-    wanted, ours = runs(mo.ParticleFilter(n=2000, policy=mo.Never()), mo.StateSpaceModel(INITIAL, step, SENSOR, NAMES))
+    wanted, ours = runs(mo.ParticleFilter(n=2000, policy=mo.resampling.Never()), mo.StateSpaceModel(INITIAL, step, SENSOR, NAMES))
     assert ours.engine == "native in part" and np.allclose(ours.mean, wanted.mean, rtol=1e-3, atol=1e-2)
 
 

@@ -25,15 +25,15 @@ def beacons(law=None):
 
 
 def mass(phi, costs):
-    if isinstance(phi, mo.InverseCost):
+    if isinstance(phi, mo.resampling.InverseCost):
         return 1 / costs
     return 1 / (costs - costs.min() + phi.delta) ** phi.beta
 
 
 CASES = {
     "squares": mo.CostReferenceParticleFilter(n=64, forgetting=0.8, scale=(0.4, 0.2), adaptive=True),
-    "distances": mo.CostReferenceParticleFilter(n=64, q=1, phi=mo.InverseCost(), forgetting=0.6, scale=0.3),
-    "sharp": mo.CostReferenceParticleFilter(n=64, phi=mo.InverseExcess(delta=0.1, beta=1.0), estimate="minimum cost"),
+    "distances": mo.CostReferenceParticleFilter(n=64, q=1, phi=mo.resampling.InverseCost(), forgetting=0.6, scale=0.3),
+    "sharp": mo.CostReferenceParticleFilter(n=64, phi=mo.resampling.InverseExcess(delta=0.1, beta=1.0), estimate="minimum cost"),
     "local": mo.CostReferenceParticleFilter(n=64, q=1, selection="local", scale=0.3),
 }
 
@@ -84,7 +84,7 @@ def test_beats_a_filter_that_takes_heavy_tails_for_gaussian():
     """100 paired runs of 40 steps with Student t noise of 1.2 degrees of freedom, told to both as Gaussian of that scale."""
     truth, assumed = beacons(mo.StudentT([0.3] * 3, 1.2)), beacons()
     filters = (
-        mo.CostReferenceParticleFilter(n=300, q=1, phi=mo.InverseExcess(delta=0.3)),
+        mo.CostReferenceParticleFilter(n=300, q=1, phi=mo.resampling.InverseExcess(delta=0.3)),
         mo.ParticleFilter(n=300, on_collapse="predict"),
         mo.ParticleFilter(n=300),
     )

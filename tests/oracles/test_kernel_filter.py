@@ -37,18 +37,22 @@ def uneven_mixture(dtype=float):
     return mo.Mixture.of(jnp.asarray(weights, dtype), jnp.asarray(means, dtype), jnp.asarray(covs, dtype))
 
 
-KERNELS = {"split": mo.SplitKernels(cap=0.3), "longest": mo.SplitKernels(longest=0.4), "common": mo.CommonKernel(guard=1e-3)}
+KERNELS = {
+    "split": mo.resampling.SplitKernels(cap=0.3),
+    "longest": mo.resampling.SplitKernels(longest=0.4),
+    "common": mo.resampling.CommonKernel(guard=1e-3),
+}
 
 
 @pytest.mark.parametrize("kernels", KERNELS.values(), ids=KERNELS)
-@pytest.mark.parametrize("policy", [mo.Entropy(1e-3), mo.Never()], ids=["full", "partial"])
+@pytest.mark.parametrize("policy", [mo.resampling.Entropy(1e-3), mo.resampling.Never()], ids=["full", "partial"])
 def test_resampling_keeps_mean_and_covariance(kernels, policy, double):
     """Over 2 000 repetitions within 4.9 standard errors: level 1e-6 for each number."""
     law = uneven_mixture()
     split = kernels.fitted(law, (0, 2))
 
     def once(key):
-        ancestors = mo.Systematic().ancestors(random.child(key, 0), law.log_weights, 40)
+        ancestors = mo.resampling.Systematic().ancestors(random.child(key, 0), law.log_weights, 40)
         after = split(random.child(key, 1), law.picked(ancestors) if policy.needed(law.log_weights) is not False else law)
         return after.mean(), after.cov() + jnp.outer(after.mean(), after.mean()), after.parts.covariance
 
@@ -70,15 +74,15 @@ def test_split_kernels_are_as_small_as_asked(double):
         blocks = np.moveaxis(np.asarray(law.parts.covariance), -1, 0)[:, [0, 2]][:, :, [0, 2]]
         return np.linalg.eigvalsh(scale @ blocks @ scale.T).max(axis=1)
 
-    after = mo.SplitKernels(cap=0.3).fitted(law, (0, 2))(jax.random.key(0), law)
+    after = mo.resampling.SplitKernels(cap=0.3).fitted(law, (0, 2))(jax.random.key(0), law)
     assert np.allclose(widest(after, factor), np.minimum(widest(law, factor), 0.09), rtol=1e-9)
-    after = mo.SplitKernels(cap=1.0, longest=0.4).fitted(law, (0, 2))(jax.random.key(0), law)
+    after = mo.resampling.SplitKernels(cap=1.0, longest=0.4).fitted(law, (0, 2))(jax.random.key(0), law)
     assert np.all(widest(after, np.eye(2)) <= 0.16 + 1e-9) and widest(law, np.eye(2)).min() > 0.16
 
 
 def test_the_guard_leaves_kernels_alone(double):
     law = uneven_mixture()
-    after = mo.CommonKernel(guard=0.9).fitted(law, ())(jax.random.key(0), law)
+    after = mo.resampling.CommonKernel(guard=0.9).fitted(law, ())(jax.random.key(0), law)
     assert np.array_equal(after.parts.covariance, law.parts.covariance) and np.array_equal(after.parts.center, law.parts.center)
 
 
@@ -107,9 +111,9 @@ def bimodal():
 @pytest.mark.parametrize("filter", [
     pytest.param(mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4), marks=pytest.mark.night),
     # a slope at the center alone leaves the curvature over a kernel out of account: it needs smaller kernels
-    pytest.param(mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=1, slope="jacobian", kernels=mo.SplitKernels(cap=0.15)),
+    pytest.param(mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=1, slope="jacobian", kernels=mo.resampling.SplitKernels(cap=0.15)),
                  marks=pytest.mark.night),
-    mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4, kernels=mo.CommonKernel(guard=0.05)),
+    mo.KalmanParticleKernelFilter(n=3000, spread=1.0, every=4, kernels=mo.resampling.CommonKernel(guard=0.05)),
 ], ids=["sigma", "jacobian", "common"])  # fmt: skip
 def test_keeps_both_modes(bimodal, filter):
     model, ys, exact = bimodal
@@ -156,7 +160,7 @@ def test_nonlinear_dynamics_are_linearized_at_each_kernel():
     )
     ys = mo.simulate(2, model, 15)[1]
     many = mo.run(0, mo.ParticleFilter(n=100_000), model, ys)
-    filter = mo.KalmanParticleKernelFilter(n=1000, spread=1.0, every=2, kernels=mo.SplitKernels(cap=0.2))
+    filter = mo.KalmanParticleKernelFilter(n=1000, spread=1.0, every=2, kernels=mo.resampling.SplitKernels(cap=0.2))
     keys = jax.random.split(jax.random.key(1), 24)
     means = np.asarray(jax.jit(jax.vmap(lambda key: mo.run(key, filter, model, ys).mean))(keys))
     spread = np.sqrt(np.diagonal(np.asarray(many.cov), axis1=1, axis2=2))

@@ -129,8 +129,8 @@ def test_likelihood_is_unbiased_for_each_scheme_and_policy(double):
     ys = mo.simulate(1, model, 8)[1]
     exact = float(mo.run(0, mo.KalmanFilter(), model, ys).log_likelihood)
     keys = jax.random.split(jax.random.key(4), 1000)
-    for scheme in (mo.Systematic(), mo.Stratified(), mo.Multinomial(), mo.Residual()):
-        for policy in (mo.Always(), mo.ESS(0.5), mo.Never(), mo.Entropy(0.3)):
+    for scheme in (mo.resampling.Systematic(), mo.resampling.Stratified(), mo.resampling.Multinomial(), mo.resampling.Residual()):
+        for policy in (mo.resampling.Always(), mo.resampling.ESS(0.5), mo.resampling.Never(), mo.resampling.Entropy(0.3)):
             filter = mo.ParticleFilter(n=60, scheme=scheme, policy=policy)
             totals = jax.jit(jax.vmap(lambda key, filter=filter: mo.run(key, filter, model, ys).log_likelihood))(keys)
             ratio = np.exp(np.asarray(totals) - exact)

@@ -56,10 +56,10 @@ def check_means(means, exact, n):
 
 GUIDED = {
     "optimal": mo.ParticleFilter(n=100, proposal=mo.OptimalProposal()),
-    "unscented": mo.ParticleFilter(n=100, proposal=mo.UnscentedProposal(), policy=mo.Always()),
-    "auxiliary": mo.AuxiliaryParticleFilter(n=100, policy=mo.Always()),
-    "auxiliary, now and then": mo.AuxiliaryParticleFilter(n=100, proposal=mo.OptimalProposal(), scheme=mo.Multinomial()),
-    "fully adapted": mo.AuxiliaryParticleFilter(n=100, proposal=mo.OptimalProposal(), policy=mo.Always()),
+    "unscented": mo.ParticleFilter(n=100, proposal=mo.UnscentedProposal(), policy=mo.resampling.Always()),
+    "auxiliary": mo.AuxiliaryParticleFilter(n=100, policy=mo.resampling.Always()),
+    "auxiliary, now and then": mo.AuxiliaryParticleFilter(n=100, proposal=mo.OptimalProposal(), scheme=mo.resampling.Multinomial()),
+    "fully adapted": mo.AuxiliaryParticleFilter(n=100, proposal=mo.OptimalProposal(), policy=mo.resampling.Always()),
 }
 
 
@@ -121,8 +121,8 @@ def test_looking_ahead_pays_where_the_sensor_is_sharp(double):
     H2, tight = np.eye(2, 3, k=1), np.diag([4e-4, 1e-3])
     model = mo.StateSpaceModel(mo.Gaussian([0.5, -0.3, 0.0], 0.01 * np.eye(3)), mo.LinearGaussian(A, Q), mo.LinearGaussian(H2, tight))
     ys = measured(model, 6, gaps=False)
-    adapted = mo.AuxiliaryParticleFilter(n=200, proposal=mo.OptimalProposal(), policy=mo.Always())
-    guided = mo.ParticleFilter(n=200, proposal=mo.OptimalProposal(), policy=mo.Always())
+    adapted = mo.AuxiliaryParticleFilter(n=200, proposal=mo.OptimalProposal(), policy=mo.resampling.Always())
+    guided = mo.ParticleFilter(n=200, proposal=mo.OptimalProposal(), policy=mo.resampling.Always())
     spread = [np.var(next(many(filter, model, ys, 100))) for filter in (mo.ParticleFilter(n=200), guided, adapted)]
     assert spread[0] > 30 * spread[2] and spread[0] > 5 * spread[1]
 

@@ -223,8 +223,10 @@ def test_smoothers_of_one_gaussian_and_of_mixtures_agree_by_every_rule(double):
     model, ys = quadratic(False), np.array([[1.3, -0.2], [0.4, 0.5], [0.1, 0.3]])
     history = mo.run(0, mo.InteractingMultipleModel(rule=mo.gaussian.Cubature()), model, ys, keep=mo.keep.laws)
     one = mo.run(0, mo.CubatureKalmanFilter(), model, ys)
-    exact = [mo.smooth(0, mo.RauchTungStriebelSmoother(rule), model, one) for rule in (mo.gaussian.Cubature(), mo.gaussian.Taylor())]
-    found = mo.smooth(0, mo.MixtureSmoother(n=20_000, rule=mo.gaussian.Cubature()), model, history)
+    exact = [
+        mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(rule), model, one) for rule in (mo.gaussian.Cubature(), mo.gaussian.Taylor())
+    ]
+    found = mo.smooth(0, mo.smoothers.MixtureSmoother(n=20_000, rule=mo.gaussian.Cubature()), model, history)
     error = 5 * np.sqrt(np.diagonal(np.asarray(exact[0].cov), axis1=1, axis2=2) / 20_000)
     assert (np.abs(np.asarray(found.mean) - np.asarray(exact[0].mean))[:-1] < error[:-1]).all()
     assert (np.abs(np.asarray(exact[1].mean) - np.asarray(exact[0].mean))[:-1] > error[:-1]).any()

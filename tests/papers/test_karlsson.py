@@ -42,7 +42,7 @@ def known(program, monkeypatch):
     def constant(value):
         return Slope(value, value, value, 1.0)
 
-    calibration = mo.Calibration(*map(constant, (FLOP, C1 * FLOP, C2 * FLOP, C3 * FLOP)), engine="jax", device="cpu")
+    calibration = mo.costs.Calibration(*map(constant, (FLOP, C1 * FLOP, C2 * FLOP, C3 * FLOP)), engine="jax", device="cpu")
     monkeypatch.setattr(mo, "seconds_per_step", seconds)
     monkeypatch.setattr(mo, "calibrate", lambda refresh: calibration)
 

@@ -66,7 +66,7 @@ CORRELATED = mcmc.PseudoMarginal(mcmc.RandomWalkMetropolis(jnp.array([0.2, 0.6])
 
 @pytest.mark.night
 def test_correlated_chains(exact):
-    posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, scheme=mo.Sorted()), YS)
+    posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, scheme=mo.resampling.Sorted()), YS)
     chains = mo.sample(0, CORRELATED, posterior, posterior.starts, draws=2_000, chains=8, burn_in=500)
     close(chains.positions, exact)
 
@@ -86,8 +86,8 @@ def test_renewed_numbers_keep_most_of_the_likelihood():
 
         return np.asarray(jax.jit(jax.vmap(one))(jax.vmap(lambda k: random.step_key(random.as_key(2), k))(jnp.arange(300)))).T
 
-    shared = np.corrcoef(pairs(mo.Sorted()))[0, 1]
-    assert shared > 0.7 and shared > np.corrcoef(pairs(mo.Systematic()))[0, 1] + 0.1
+    shared = np.corrcoef(pairs(mo.resampling.Sorted()))[0, 1]
+    assert shared > 0.7 and shared > np.corrcoef(pairs(mo.resampling.Systematic()))[0, 1] + 0.1
 
 
 def test_every_step_is_renewed_equally_often():
@@ -108,15 +108,21 @@ def test_particle_gibbs(exact, paths):
     assert chains.acceptance[type(paths).__name__] > 0.8
 
 
-@pytest.mark.parametrize("scheme", [
-    mo.Systematic(), pytest.param(mo.Multinomial(), marks=pytest.mark.night), pytest.param(mo.Killing(), marks=pytest.mark.night),
-], ids=lambda scheme: type(scheme).__name__)
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        mo.resampling.Systematic(),
+        pytest.param(mo.resampling.Multinomial(), marks=pytest.mark.night),
+        pytest.param(mo.resampling.Killing(), marks=pytest.mark.night),
+    ],
+    ids=lambda scheme: type(scheme).__name__,
+)
 def test_paths_given_parameters_have_the_smoothers_law(scheme):
     theta = jnp.array([0.4, -0.6])
     fixed = parameters.PathPosterior(mo.Gaussian(theta, 1e-12 * jnp.eye(2)), lambda _: model(theta), YS)
     chains = mo.sample(1, parameters.ParticleGibbs(8, scheme), fixed, fixed.start, draws=2_000, chains=8, burn_in=100)
     history = mo.run(0, mo.KalmanFilter(), model(theta), YS)
-    smoothed = mo.smooth(0, mo.RauchTungStriebelSmoother(), model(theta), history)
+    smoothed = mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), model(theta), history)
     paths = np.asarray(chains.positions["path"])[..., 0].astype(float)
     for t in range(STEPS):
         for power, truth in ((1, smoothed.mean[t, 0]), (2, smoothed.cov[t, 0, 0] + smoothed.mean[t, 0] ** 2)):
@@ -141,7 +147,7 @@ def test_half_marginalized_paths_have_the_smoothers_law(n, linear):
     kernel = parameters.RaoBlackwellizedParticleGibbs(n, linear)
     fixed = parameters.PathPosterior(mo.Gaussian(jnp.zeros(1), 1e-12 * jnp.eye(1)), pair, PAIR_YS)
     chains = mo.sample(1, kernel, fixed, fixed.start, draws=4_000, chains=8, burn_in=100)
-    smoothed = mo.smooth(0, mo.RauchTungStriebelSmoother(), pair(None), mo.run(0, mo.KalmanFilter(), pair(None), PAIR_YS))
+    smoothed = mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), pair(None), mo.run(0, mo.KalmanFilter(), pair(None), PAIR_YS))
     paths = np.asarray(chains.positions["path"]).astype(float)
     second = np.asarray(smoothed.cov) + np.asarray(smoothed.mean)[:, :, None] * np.asarray(smoothed.mean)[:, None]
     for t in range(STEPS):
@@ -162,7 +168,7 @@ def skewed(theta):
 def test_noises_that_go_together_reach_the_path(kernel):
     fixed = parameters.PathPosterior(mo.Gaussian(jnp.zeros(1), jnp.eye(1)), skewed, YS)
     chains = mo.sample(1, kernel, fixed, fixed.start, draws=2_000, chains=8, burn_in=100)
-    smoothed = mo.smooth(0, mo.RauchTungStriebelSmoother(), skewed(None), mo.run(0, mo.KalmanFilter(), skewed(None), YS), YS)
+    smoothed = mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), skewed(None), mo.run(0, mo.KalmanFilter(), skewed(None), YS), YS)
     paths = np.asarray(chains.positions["path"])[..., 0].astype(float)
     for t in range(STEPS):
         assert abs(paths[..., t].mean() - float(smoothed.mean[t, 0])) < 5.3 * mcmc.standard_error(paths[..., t])
@@ -184,7 +190,7 @@ def test_a_row_without_measurement_tells_a_custom_sensor_nothing():
 
 @pytest.mark.parametrize("around", [mcmc.Adaptive, lambda kernel: mcmc.Repeat(kernel, 2)], ids=["Adaptive", "Repeat"])
 def test_correlated_chains_in_a_wrapper(around):
-    posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, scheme=mo.Sorted()), YS)
+    posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, scheme=mo.resampling.Sorted()), YS)
     chains = mo.sample(0, around(CORRELATED), posterior, posterior.starts, draws=100, burn_in=0)
     assert 0 < chains.acceptance["RandomWalkMetropolis"] < 1 and np.ptp(np.asarray(chains.log_density)[:, 0]) > 0
     with pytest.raises(MotesError, match="PseudoMarginal renewed: expected 1 in a Cycle or Mix"):

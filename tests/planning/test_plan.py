@@ -36,7 +36,7 @@ def clock(monkeypatch):
 
 
 def plan(model, *args, runs=16, **options):
-    return mo.plan(model, *args, **options, costs=CONSTANTS, pilot=mo.Pilot(steps=25, runs=runs, progress=False))
+    return mo.plan(model, *args, **options, costs=CONSTANTS, pilot=mo.planning.Pilot(steps=25, runs=runs, progress=False))
 
 
 def test_candidates():
@@ -64,14 +64,14 @@ def test_budget(clock):
     assert cost(found.choice) == pytest.approx(1e-4, rel=0.08) and found.seconds == pytest.approx(1e-4, rel=0.01)
     flops = dict(zip(names, found.table.column("by flops"), strict=True))
     assert flops["extended Kalman filter"] is None
-    counted = mo.complexity(2, 0, n["particle filter"], CONSTANTS.costs) * 1e-10
+    counted = mo.costs.complexity(2, 0, n["particle filter"], CONSTANTS.costs) * 1e-10
     assert flops["particle filter"] == pytest.approx(1e3 * counted)
     assert found.choice.n % 16 == 0 and "choice" in str(found) and "ms a step" in str(found)
 
 
 def test_states_that_count(clock):
     hidden = plan(model(), 1e-4, states=("hidden",))
-    bound = mo.posterior_cramer_rao(0, model(), 25).overall_rmse("hidden")
+    bound = mo.bounds.posterior_cramer_rao(0, model(), 25).overall_rmse("hidden")
     first = hidden.table.rows[0]
     assert first[hidden.table.columns.index("of bound")] == pytest.approx(first[4] / float(bound), rel=1e-4)
     assert 0.3 < first[4] < 1.0
@@ -86,7 +86,7 @@ def test_accuracy(clock):
     assert found.seconds == pytest.approx(cost(found.choice)) and found.choice.n < 5_000
     with pytest.raises(mo.MotesError, match=r"plan accuracy: expected at least 0\.\d+, the best that was reached"):
         mo.plan(model(), accuracy=0.01, states=("seen",), costs=CONSTANTS,
-                pilot=mo.Pilot(steps=25, runs=8, filters={"plain": mo.ParticleFilter(n=1)}, progress=False))
+                pilot=mo.planning.Pilot(steps=25, runs=8, filters={"plain": mo.ParticleFilter(n=1)}, progress=False))
 
 
 def test_own_filters_and_a_mixed_model(clock):
@@ -95,7 +95,7 @@ def test_own_filters_and_a_mixed_model(clock):
         lambda x, u, t: (0.5 * x + 2 * jnp.cos(x), jnp.array([[1.0, 0.2]]), jnp.eye(1)),
         lambda x, u, t: (jnp.zeros(2), jnp.array([[0.9, 0.1], [0.0, 0.8]]), 0.3 * jnp.eye(2)),
         lambda x, u, t: (x**2 / 20, jnp.array([[1.0, 0.0]]), jnp.eye(1)))
-    found = mo.plan(mixed, 3e-5, costs=CONSTANTS, pilot=mo.Pilot(steps=20, runs=8, progress=False, filters={
+    found = mo.plan(mixed, 3e-5, costs=CONSTANTS, pilot=mo.planning.Pilot(steps=20, runs=8, progress=False, filters={
         "all": mo.MarginalizedParticleFilter(n=1), "one": mo.MarginalizedParticleFilter(n=1, linear=("x2",))}))
     assert set(found.table.column("filter")) == {"all", "one"}
 

@@ -39,7 +39,7 @@ def test_history(history):
 
 def test_plan():
     rows = (("marginalized x", 900, 1.0, None, 1.5, 0.1, None, 0, 16), ("plain $x$", 1200, 1.0, None, 2.5, 0.2, None, 0, 8))
-    figure = mo.plot(mo.Plan(mo.ParticleFilter(n=900), 1e-3, mo.Table(COLUMNS, rows)))
+    figure = mo.plot(mo.planning.Plan(mo.ParticleFilter(n=900), 1e-3, mo.io.Table(COLUMNS, rows)))
     assert [text.get_text() for text in figure.axes[0].get_yticklabels()] == ["marginalized x", "plain $x$"]
     assert [list(line.get_xdata()) for line in figure.axes[0].lines] == [[1.5], [2.5]]
     assert png(figure)[:4] == b"\x89PNG"
@@ -53,13 +53,13 @@ def test_wrong_results_are_refused(history):
         mo.plot(history, truth=np.zeros((3, 2)))
     refused(error, "plot truth", "(12, 2)")
     with pytest.raises(mo.MotesError) as error:
-        mo.plot(mo.Bound(jnp.ones((3, 1, 1)), ("px",), "some bound"), truth=np.zeros((3, 1)))
+        mo.plot(mo.bounds.Bound(jnp.ones((3, 1, 1)), ("px",), "some bound"), truth=np.zeros((3, 1)))
     refused(error, "plot truth", "Bound")
 
 
 def test_bound():
     covs = np.stack([np.diag([4.0, 9.0]), np.diag([1.0, 16.0])])
-    figure = mo.plot(mo.Bound(jnp.asarray(covs), ("px", "py"), "some bound"))
+    figure = mo.plot(mo.bounds.Bound(jnp.asarray(covs), ("px", "py"), "some bound"))
     assert [axes.get_title() for axes in figure.axes] == ["px", "py"] and figure.get_suptitle() == "some bound"
     np.testing.assert_allclose(figure.axes[1].lines[0].get_ydata(), [3, 4])
     assert png(figure)[:4] == b"\x89PNG"
@@ -74,8 +74,8 @@ def named_pictures():
     yield mo.run(0, mo.KalmanFilter(), model, jnp.zeros((4, 2)))
     yield mo.study(mo.Experiment(model, {NAMES[1]: mo.KalmanFilter()}, steps=4, runs=2))
     yield mo.sample(0, mo.mcmc.RandomWalkMetropolis(1.0), lambda p: -0.5 * p[NAMES[1]] ** 2, {NAMES[1]: jnp.zeros(())}, draws=20, burn_in=0)
-    yield mo.Bound(jnp.ones((3, 1, 1)), NAMES[1:], NAMES[1])
-    yield mo.Plan(mo.ParticleFilter(n=9), 1e-3, mo.Table(COLUMNS, ((NAMES[1], 9, 1.0, None, 1.5, 0.1, None, 0, 16),)))
+    yield mo.bounds.Bound(jnp.ones((3, 1, 1)), NAMES[1:], NAMES[1])
+    yield mo.planning.Plan(mo.ParticleFilter(n=9), 1e-3, mo.io.Table(COLUMNS, ((NAMES[1], 9, 1.0, None, 1.5, 0.1, None, 0, 16),)))
 
 
 @pytest.mark.filterwarnings("ignore::motes.core.checks.MotesWarning")

@@ -27,9 +27,9 @@ def derivatives(filter, runs):
 def test_derivative_of_the_likelihood_is_unbiased(look_ahead, double):
     """E[dZ] = dZ within 4 standard errors over 4000 runs of few particles; without the wrapper it is not."""
     kind = mo.AuxiliaryParticleFilter if look_ahead else mo.ParticleFilter
-    knobs = {"n": 40, "policy": mo.Always()} | ({"proposal": mo.OptimalProposal()} if look_ahead else {})
+    knobs = {"n": 40, "policy": mo.resampling.Always()} | ({"proposal": mo.OptimalProposal()} if look_ahead else {})
     exact = float(jax.grad(lambda a: mo.run(0, mo.KalmanFilter(), model(a), YS).log_likelihood)(0.8))
-    schemes = {True: mo.StopGradient(mo.Multinomial())} | ({} if look_ahead else {False: mo.Multinomial()})
+    schemes = {True: mo.resampling.StopGradient(mo.resampling.Multinomial())} | ({} if look_ahead else {False: mo.resampling.Multinomial()})
     for kept, scheme in schemes.items():
         ratio, slopes = derivatives(kind(scheme=scheme, **knobs), 4000)
         off = ratio * (slopes - exact)
@@ -37,7 +37,9 @@ def test_derivative_of_the_likelihood_is_unbiased(look_ahead, double):
 
 
 def test_values_are_those_of_the_scheme(double):
-    plain, wrapped = (mo.run(1, mo.ParticleFilter(n=60, scheme=s), model(0.8), YS) for s in (mo.Systematic(), mo.StopGradient()))
+    plain, wrapped = (
+        mo.run(1, mo.ParticleFilter(n=60, scheme=s), model(0.8), YS) for s in (mo.resampling.Systematic(), mo.resampling.StopGradient())
+    )
     assert np.allclose(plain.mean, wrapped.mean, atol=1e-12) and np.allclose(plain.log_evidence, wrapped.log_evidence, atol=1e-12)
 
 
@@ -45,12 +47,12 @@ def cloud(equal=False):
     rng = np.random.default_rng(0)
     X = np.stack([rng.normal(size=60), 50 * rng.gamma(2.0, size=60), np.full(60, 3.0)])
     log_weights = np.zeros(60) if equal else np.where(np.arange(60) % 7 == 3, -np.inf, rng.normal(size=60))
-    return mo.Cloud(jnp.asarray(X), jnp.asarray(log_weights - np.log(np.exp(log_weights).sum())), jnp.arange(60, dtype=jnp.int32))
+    return mo.laws.Cloud(jnp.asarray(X), jnp.asarray(log_weights - np.log(np.exp(log_weights).sum())), jnp.arange(60, dtype=jnp.int32))
 
 
 def test_transport_keeps_the_mean_and_the_rows_balance(double):
     before = cloud()
-    scheme = mo.EntropicTransport(entropy=0.1, steps=200)
+    scheme = mo.resampling.EntropicTransport(entropy=0.1, steps=200)
     shares = np.asarray(scheme.plan(before.log_weights, before.particles))
     assert np.allclose(shares.sum(axis=0), 60 * np.exp(before.log_weights), atol=1e-12)
     assert np.allclose(shares.sum(axis=1), 1, atol=1e-3) and shares.min() >= 0
@@ -64,14 +66,14 @@ def test_transport_of_equal_weights_goes_to_none(double):
     before = cloud(equal=True)
     far = []
     for entropy in (0.1, 0.01, 0.001):
-        after = mo.EntropicTransport(entropy, 400).resampled(jax.random.key(0), before, None)
+        after = mo.resampling.EntropicTransport(entropy, 400).resampled(jax.random.key(0), before, None)
         far.append(np.sqrt(np.mean(((after.particles - before.particles) / np.array([[1.0], [70.0], [1.0]])) ** 2)))
     assert far[0] > 2 * far[1] > 8 * far[2] and far[2] < 0.01
 
 
 def test_filter_with_transport_has_a_smooth_likelihood(double):
     """The derivative is that of differences: nothing jumps. And it is about that of the Kalman filter."""
-    filter = mo.ParticleFilter(n=100, scheme=mo.EntropicTransport(0.05), policy=mo.Always())
+    filter = mo.ParticleFilter(n=100, scheme=mo.resampling.EntropicTransport(0.05), policy=mo.resampling.Always())
     value = jax.jit(lambda a: mo.run(2, filter, model(a), YS, keep=mo.keep.nothing).log_likelihood)
     slope = float(jax.jit(jax.grad(value))(0.8))
     assert abs(slope - float(value(0.8 + 1e-5) - value(0.8 - 1e-5)) / 2e-5) < 1e-4 * (1 + abs(slope))

@@ -10,8 +10,14 @@ from scipy.stats import norm
 
 import motes as mo
 
-SCHEMES = [mo.Systematic(), mo.Stratified(), mo.Residual(), mo.Multinomial(), mo.SSP()]
-SYSTEMATIC = jax.jit(mo.Systematic().at, static_argnums=2)
+SCHEMES = [
+    mo.resampling.Systematic(),
+    mo.resampling.Stratified(),
+    mo.resampling.Residual(),
+    mo.resampling.Multinomial(),
+    mo.resampling.SSP(),
+]
+SYSTEMATIC = jax.jit(mo.resampling.Systematic().at, static_argnums=2)
 LAST_UNIFORM = np.float32(1 - 2**-24)
 SIZE = 400
 
@@ -48,7 +54,7 @@ KINDS = ["equal", "one heavy in front", "one heavy at the end", "one heavy insid
 @pytest.mark.parametrize("u", [0.0, LAST_UNIFORM, 0.37])
 def test_systematic_counts_of_very_few(n, u):
     log_weights = log(adversarial(n, "exponential"))
-    check_counts(np.asarray(mo.Systematic().at(jnp.float32(u), log_weights, n)), np.exp(np.asarray(log_weights, np.float64)))
+    check_counts(np.asarray(mo.resampling.Systematic().at(jnp.float32(u), log_weights, n)), np.exp(np.asarray(log_weights, np.float64)))
 
 
 def check_counts(ancestors, weights, tolerance=1e-3):
@@ -119,7 +125,7 @@ def test_mean_counts_are_unbiased(scheme):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_counts_of_the_sampling_process_are_within_one(kind):
-    draw = jax.jit(mo.SSP().ancestors, static_argnums=2)
+    draw = jax.jit(mo.resampling.SSP().ancestors, static_argnums=2)
     for n in (1, 2, 3, 5, 4096):
         log_weights = log(adversarial(max(n, 3), kind))
         check_counts(np.asarray(draw(jax.random.key(n), log_weights, n)), np.exp(np.asarray(log_weights, np.float64)))
@@ -140,12 +146,12 @@ def test_variance_of_counts_falls_from_multinomial_to_systematic():
 def test_policies():
     equal = jnp.log(jnp.full(8, 1 / 8))
     one = jnp.where(jnp.arange(8) == 2, 0.0, -jnp.inf)
-    assert mo.Always().needed(equal) is True and mo.Never().needed(one) is False
-    for policy in (mo.ESS(0.5), mo.Entropy(0.7)):
+    assert mo.resampling.Always().needed(equal) is True and mo.resampling.Never().needed(one) is False
+    for policy in (mo.resampling.ESS(0.5), mo.resampling.Entropy(0.7)):
         assert not bool(policy.needed(equal)) and bool(policy.needed(one))
     half = jnp.log(jnp.where(jnp.arange(8) < 4, 1 / 4, 0.0))
-    assert bool(mo.Entropy(np.log(2) - 0.01).needed(half)) and not bool(mo.Entropy(np.log(2) + 0.01).needed(half))
-    for bad in (lambda: mo.ESS(0.0), lambda: mo.ESS(1.5), lambda: mo.Entropy(-1.0)):
+    assert bool(mo.resampling.Entropy(np.log(2) - 0.01).needed(half)) and not bool(mo.resampling.Entropy(np.log(2) + 0.01).needed(half))
+    for bad in (lambda: mo.resampling.ESS(0.0), lambda: mo.resampling.ESS(1.5), lambda: mo.resampling.Entropy(-1.0)):
         with pytest.raises(mo.MotesError, match="expected a number above 0"):
             bad()
 
@@ -153,16 +159,16 @@ def test_policies():
 def test_sorted_picks_by_weight_in_the_order_of_a_state():
     particles = jnp.stack([jnp.array([3.0, -1.0, 2.0, 0.5]), jnp.arange(4.0)])
     weights = np.array([0.1, 0.4, 0.15, 0.35])
-    cloud = mo.Cloud(particles, jnp.log(jnp.asarray(weights)), jnp.arange(4, dtype=jnp.int32))
+    cloud = mo.laws.Cloud(particles, jnp.log(jnp.asarray(weights)), jnp.arange(4, dtype=jnp.int32))
     keys = jax.random.split(jax.random.key(0), 4_000)
-    picked = jax.vmap(lambda key: mo.Sorted().resampled(key, cloud, None))(keys)
+    picked = jax.vmap(lambda key: mo.resampling.Sorted().resampled(key, cloud, None))(keys)
     counts = np.apply_along_axis(np.bincount, 1, np.asarray(picked.ancestors), minlength=4)
     assert (np.abs(counts - 4 * weights) < 1 + 1e-5).all()
     assert (np.abs(counts.mean(axis=0) - 4 * weights) < 4.9 * counts.std(axis=0) / len(keys) ** 0.5 + 1e-6).all()
     assert (np.diff(np.asarray(picked.particles)[:, 0], axis=1) >= 0).all()
-    scored = mo.Sorted().resampled(keys[0], cloud, jnp.log(jnp.full(4, 0.25)))
+    scored = mo.resampling.Sorted().resampled(keys[0], cloud, jnp.log(jnp.full(4, 0.25)))
     np.testing.assert_allclose(scored.log_weights, np.log(weights)[np.asarray(scored.ancestors)], rtol=1e-5)
     with pytest.raises(mo.MotesError, match="Sorted scheme: expected a scheme"):
-        mo.Sorted(3)
+        mo.resampling.Sorted(3)
     with pytest.raises(mo.MotesError, match="Sorted by: expected a law of particles with a state 2, got 2 states in particles"):
-        mo.Sorted(by=2).resampled(keys[0], cloud, None)
+        mo.resampling.Sorted(by=2).resampled(keys[0], cloud, None)

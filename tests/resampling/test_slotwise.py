@@ -10,7 +10,7 @@ import motes as mo
 
 LEVEL = 1e-6
 WEIGHTS = np.array([0.02, 0.3, 0.05, 0.001, 0.1, 0.2, 0.004, 0.075, 0.05, 0.2])
-EXACT = [mo.Killing(), mo.RejectionResampling(trials=2), mo.RejectionResampling()]
+EXACT = [mo.resampling.Killing(), mo.resampling.RejectionResampling(trials=2), mo.resampling.RejectionResampling()]
 DRAWS = 10_000
 
 
@@ -46,12 +46,12 @@ def test_metropolis_has_the_law_of_its_chain(steps):
     moves = np.minimum(1, w[None, :] / w[:, None]) / n
     chain = moves - np.diag(moves.sum(axis=1)) + np.eye(n)
     law = np.linalg.matrix_power(chain, steps)
-    check_mean(counted(mo.MetropolisResampling(steps), w, n)[1], law.sum(axis=0))
+    check_mean(counted(mo.resampling.MetropolisResampling(steps), w, n)[1], law.sum(axis=0))
     assert np.all(0.5 * np.abs(law - w).sum(axis=1) <= (1 - w.mean() / w.max()) ** steps)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
-@pytest.mark.parametrize("scheme", [*EXACT, mo.MetropolisResampling(400)], ids=repr)
+@pytest.mark.parametrize("scheme", [*EXACT, mo.resampling.MetropolisResampling(400)], ids=repr)
 def test_very_few_and_very_uneven(scheme, n):
     draw = jax.jit(scheme.ancestors, static_argnums=2)
     last = np.asarray(draw(jax.random.key(0), log((np.arange(n) == n - 1).astype(float)), n))
@@ -62,7 +62,7 @@ def test_very_few_and_very_uneven(scheme, n):
     assert np.all((wide > 0) & (wide <= n))
 
 
-@pytest.mark.parametrize("scheme", [mo.Multinomial(), mo.Systematic(), mo.Killing()], ids=repr)
+@pytest.mark.parametrize("scheme", [mo.resampling.Multinomial(), mo.resampling.Systematic(), mo.resampling.Killing()], ids=repr)
 def test_conditional_law_is_that_of_the_turned_scheme(scheme):
     """All ancestors of three children, that of one drawn by weight, against the scheme turned at random: chi-square, level 1e-6."""
     weights, draws, slot = np.array([0.15, 0.6, 0.25]), 40_000, 1
@@ -70,7 +70,7 @@ def test_conditional_law_is_that_of_the_turned_scheme(scheme):
     def both(key):
         keys = jax.random.split(key, 4)
         drawn = scheme.ancestors(keys[0], log(weights), 3)
-        shuffled = isinstance(scheme, mo.Multinomial)
+        shuffled = isinstance(scheme, mo.resampling.Multinomial)
         turned = jax.random.permutation(keys[1], drawn) if shuffled else jnp.roll(drawn, jax.random.randint(keys[1], (), 0, 3))
         fixed = jax.random.categorical(keys[2], log(weights))
         given = scheme.conditional_ancestors(keys[3], log(weights), fixed, slot)
@@ -84,16 +84,20 @@ def test_conditional_law_is_that_of_the_turned_scheme(scheme):
 
 def test_conditional_systematic_of_many():
     weights = np.random.default_rng(0).exponential(size=4000)
-    draw = jax.jit(lambda key, fixed: mo.Systematic().conditional_ancestors(key, log(weights), fixed, 0))
+    draw = jax.jit(lambda key, fixed: mo.resampling.Systematic().conditional_ancestors(key, log(weights), fixed, 0))
     for fixed in (0, 17, 3999):
         found = np.asarray(draw(jax.random.key(fixed), fixed))
         counts = np.bincount(found, minlength=4000)
         assert found[0] == fixed and np.abs(counts - 4000 * weights / weights.sum()).max() < 1.01
     with pytest.raises(mo.MotesError, match="conditional_ancestors: expected Multinomial, Systematic or Killing, got Stratified"):
-        mo.Stratified().conditional_ancestors(jax.random.key(0), log(weights), 0)
+        mo.resampling.Stratified().conditional_ancestors(jax.random.key(0), log(weights), 0)
 
 
-@pytest.mark.parametrize("scheme", [mo.SSP(), mo.Killing(), mo.MetropolisResampling(64), mo.RejectionResampling()], ids=repr)
+@pytest.mark.parametrize(
+    "scheme",
+    [mo.resampling.SSP(), mo.resampling.Killing(), mo.resampling.MetropolisResampling(64), mo.resampling.RejectionResampling()],
+    ids=repr,
+)
 def test_filters_run_with_them(scheme):
     """Means of a filter within six standard errors of the exact ones (one run of 4000 particles)."""
     model = mo.StateSpaceModel(mo.Gaussian([0.3], [[1.0]]), mo.LinearGaussian([[0.8]], [[0.5]]), mo.LinearGaussian([[1.0]], [[0.3]]))

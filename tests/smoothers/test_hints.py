@@ -17,7 +17,7 @@ from test_smoothers import linear
 
 YS = np.array([[0.3], [1.2], [np.nan], [0.9]])
 SMOOTHERS = smoother_classes()
-ALL = examples() | {"ParticleFilter, transport": mo.ParticleFilter(n=9, scheme=mo.EntropicTransport())}
+ALL = examples() | {"ParticleFilter, transport": mo.ParticleFilter(n=9, scheme=mo.resampling.EntropicTransport())}
 
 def outcomes(filter, model):
     """What each smoother makes of a run: None where it smooths, otherwise its refusal."""
@@ -58,7 +58,7 @@ SAMPLED = replace(linear(), dynamics=mo.Custom(sample=lambda key, x, u, t: x + j
     (mo.JumpMarkovFilter(n=9, sampled="a"), MODES, {"MixtureSmoother"}),
     (mo.ParticleFilter(n=9), MODES.as_state_space(), {"BackwardSimulationSmoother", "GenealogySmoother"}),
     (mo.ParticleFilter(n=9), SAMPLED, {"GenealogySmoother"}),
-    (mo.ParticleFilter(n=9, scheme=mo.EntropicTransport()), SAMPLED, set()),
+    (mo.ParticleFilter(n=9, scheme=mo.resampling.EntropicTransport()), SAMPLED, set()),
 ], ids=["mixing", "jump-Markov", "joined", "no density", "no density nor descent"])  # fmt: skip
 def test_hints_of_other_models(filter, model, works):
     found = outcomes(filter, model)

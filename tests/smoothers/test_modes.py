@@ -99,10 +99,10 @@ def unbiased(off, allowed):
 ALL = mo.JumpMarkovFilter(n=2**STEPS)
 CASES = {
     # nothing is left to chance in the filter: trajectories are draws from the exact law
-    "all paths": (mo.MixtureSmoother(n=200), ALL, system(), False, 1e-4),
-    "singular noise": (mo.MixtureSmoother(n=200), ALL, system(SINGULAR), True, 1e-4),
-    "drawn": (mo.MixtureSmoother(n=100), mo.JumpMarkovFilter(n=100, sampled=("a",)), system(), False, 0.02),
-    "joined": (mo.BackwardSimulationSmoother(n=100), mo.ParticleFilter(n=400), system().as_state_space(), False, 0.02),
+    "all paths": (mo.smoothers.MixtureSmoother(n=200), ALL, system(), False, 1e-4),
+    "singular noise": (mo.smoothers.MixtureSmoother(n=200), ALL, system(SINGULAR), True, 1e-4),
+    "drawn": (mo.smoothers.MixtureSmoother(n=100), mo.JumpMarkovFilter(n=100, sampled=("a",)), system(), False, 0.02),
+    "joined": (mo.smoothers.BackwardSimulationSmoother(n=100), mo.ParticleFilter(n=400), system().as_state_space(), False, 0.02),
 }
 
 
@@ -121,7 +121,7 @@ def test_modes_and_states_are_those_of_all_paths(name):
 def test_interacting_models_and_moments_kept_with_them_are_near():
     """What mixing costs the filter is all that the smoother lacks; the last law is the filter's own."""
     history = mo.run(0, mo.InteractingMultipleModel(), system(), YS, SHARES, keep=mo.keep.laws)
-    found = mo.smooth(1, mo.MixtureSmoother(n=2000), system(), history, inputs=SHARES)
+    found = mo.smooth(1, mo.smoothers.MixtureSmoother(n=2000), system(), history, inputs=SHARES)
     modes, mean, _ = enumerated()
     assert np.abs(found.mode_probabilities - modes).max() < 0.05 and np.abs(found.mean - mean).max() < 0.1
     assert np.allclose(found.mean[-1], history.mean[-1], atol=1e-6) and np.allclose(found.cov[-1], history.cov[-1], atol=1e-6)

@@ -75,7 +75,7 @@ def test_rauch_tung_striebel_is_exact(rule, correlated, double):
     model = linear([[0.2], [-0.1]] if correlated else None)
     ys = data(model)
     history = mo.run(0, mo.KalmanFilter(), model, ys)
-    found = mo.smooth(1, mo.RauchTungStriebelSmoother(rule), model, history, ys)
+    found = mo.smooth(1, mo.smoothers.RauchTungStriebelSmoother(rule), model, history, ys)
     mean, cov = exact(model, ys)
     assert np.allclose(found.mean, mean, rtol=1e-9, atol=1e-9)
     assert np.allclose(found.cov, cov, rtol=1e-9, atol=1e-9)
@@ -101,13 +101,13 @@ def errors(smoother, filter, seeds):
 
 PARTICLES = mo.ParticleFilter(n=300)
 CASES = {
-    "genealogy": (mo.GenealogySmoother(), PARTICLES),
-    "backward, exact": (mo.BackwardSimulationSmoother(n=200), PARTICLES),
-    "backward, rejection": (mo.BackwardSimulationSmoother(n=200, parents=mo.RejectedParents(trials=6)), PARTICLES),
-    "backward, steps": (mo.BackwardSimulationSmoother(n=200, parents=mo.SteppedParents(steps=12)), PARTICLES),
-    "two filters": (mo.TwoFilterSmoother(n=300), PARTICLES),
-    "Rao-Blackwellized": (mo.RaoBlackwellizedSmoother(n=150), mo.MarginalizedParticleFilter(n=300, linear=("b",))),
-    "Rao-Blackwellized, other part": (mo.RaoBlackwellizedSmoother(n=150), mo.MarginalizedParticleFilter(n=300, linear=("a",))),
+    "genealogy": (mo.smoothers.GenealogySmoother(), PARTICLES),
+    "backward, exact": (mo.smoothers.BackwardSimulationSmoother(n=200), PARTICLES),
+    "backward, rejection": (mo.smoothers.BackwardSimulationSmoother(n=200, parents=mo.smoothers.RejectedParents(trials=6)), PARTICLES),
+    "backward, steps": (mo.smoothers.BackwardSimulationSmoother(n=200, parents=mo.smoothers.SteppedParents(steps=12)), PARTICLES),
+    "two filters": (mo.smoothers.TwoFilterSmoother(n=300), PARTICLES),
+    "Rao-Blackwellized": (mo.smoothers.RaoBlackwellizedSmoother(n=150), mo.MarginalizedParticleFilter(n=300, linear=("b",))),
+    "Rao-Blackwellized, other part": (mo.smoothers.RaoBlackwellizedSmoother(n=150), mo.MarginalizedParticleFilter(n=300, linear=("a",))),
 }
 
 
@@ -131,10 +131,10 @@ def test_a_lag_of_all_steps_is_the_genealogy_and_none_is_the_filter():
     model = linear()
     ys = data(model)
     history = mo.run(5, PARTICLES, model, ys, keep=mo.keep.laws)
-    genealogy = mo.smooth(0, mo.GenealogySmoother(), model, history)
-    lagged = mo.smooth(0, mo.GenealogySmoother(lag=STEPS), model, history)
+    genealogy = mo.smooth(0, mo.smoothers.GenealogySmoother(), model, history)
+    lagged = mo.smooth(0, mo.smoothers.GenealogySmoother(lag=STEPS), model, history)
     assert np.allclose(genealogy.mean, lagged.mean, atol=1e-5) and np.allclose(genealogy.cov, lagged.cov, atol=1e-5)
-    short = mo.smooth(0, mo.GenealogySmoother(lag=2), model, history)
+    short = mo.smooth(0, mo.smoothers.GenealogySmoother(lag=2), model, history)
     assert np.allclose(short.mean[-3:], genealogy.mean[-3:], atol=1e-5) and not np.allclose(short.mean[0], genealogy.mean[0], atol=1e-3)
     assert genealogy.paths.shape == (STEPS, 2, 300) and lagged.paths is None
 
@@ -144,7 +144,7 @@ def test_paths_are_joint_draws(double):
     model = linear()
     ys = data(model)
     history = mo.run(5, mo.ParticleFilter(n=4000), model, ys, keep=mo.keep.laws)
-    paths = np.asarray(mo.smooth(1, mo.BackwardSimulationSmoother(n=4000), model, history).paths)
+    paths = np.asarray(mo.smooth(1, mo.smoothers.BackwardSimulationSmoother(n=4000), model, history).paths)
     whole, _ = joint(model, ys)
     for t in (2, 6):
         found = np.cov(paths[t, 0], paths[t + 1, 1])[0, 1]
@@ -159,7 +159,7 @@ def test_sums_over_time():
     ys = data(model)
     whole, mean = joint(model, ys)
     pairs = [whole[2 * t, 2 * t + 3] + mean[t, 0] * mean[t + 1, 1] for t in range(STEPS - 1)]
-    filter = mo.PaRIS(n=300, function=lambda before, after, u, t: jnp.array([before[0] * after[1], 1.0]), size=2)
+    filter = mo.smoothers.PaRIS(n=300, function=lambda before, after, u, t: jnp.array([before[0] * after[1], 1.0]), size=2)
     keys = jax.random.split(jax.random.key(8), 40)
     found = np.asarray(jax.lax.map(lambda key: mo.run(key, filter, model, jnp.asarray(ys)).state.total(), keys), float)
     assert np.allclose(found[:, 1], STEPS - 1, rtol=1e-5)
@@ -171,7 +171,7 @@ def test_sums_over_time():
 def test_sums_of_a_stream_are_those_of_a_run():
     model = linear()
     ys = data(model)
-    filter = mo.PaRIS(n=50, function=lambda before, after, u, t: before * after, size=2, parents=mo.RejectedParents())
+    filter = mo.smoothers.PaRIS(n=50, function=lambda before, after, u, t: before * after, size=2, parents=mo.smoothers.RejectedParents())
     stream = mo.stream(3, filter, model)
     for t, y in enumerate(ys):
         if t:
@@ -191,7 +191,7 @@ def test_a_second_call_does_not_trace_again():
     ys = data(linear())
     for key in (1, 2):
         history = mo.run(key, mo.ExtendedKalmanFilter(), model, ys)
-        mo.smooth(key, mo.RauchTungStriebelSmoother(), model, history)
+        mo.smooth(key, mo.smoothers.RauchTungStriebelSmoother(), model, history)
         count, compiled = (count, compiled) if key == 2 else (len(calls), smoothing._smooth._cache_size())
     # a function whose list grew, as f itself lets it, is looked at once more for each call, but not compiled
     assert 0 < count <= len(calls) <= count + 2 and smoothing._smooth._cache_size() == compiled
@@ -206,30 +206,32 @@ def test_bad_input_is_named():
     heavy = record.replace(model, dynamics=mo.AdditiveNoise(lambda x, u, t: x, mo.StudentT([1.0, 1.0], 4.0)))
     for line, call in {
         "smooth smoother: expected a smoother": lambda: mo.smooth(0, mo.KalmanFilter(), model, gaussians),
-        "smooth history: expected what mo.run gave": lambda: mo.smooth(0, mo.GenealogySmoother(), model, clouds.law),
+        "smooth history: expected what mo.run gave": lambda: mo.smooth(0, mo.smoothers.GenealogySmoother(), model, clouds.law),
         "RauchTungStriebelSmoother history: expected laws of the kind Gaussian, got Cloud":
-            lambda: mo.smooth(0, mo.RauchTungStriebelSmoother(), model, clouds),
+            lambda: mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), model, clouds),
         "GenealogySmoother history: expected laws of the kind Cloud, got Gaussian":
-            lambda: mo.smooth(0, mo.GenealogySmoother(), model, gaussians),
+            lambda: mo.smooth(0, mo.smoothers.GenealogySmoother(), model, gaussians),
         "RaoBlackwellizedSmoother history: expected laws of the kind MarginalCloud, got Cloud":
-            lambda: mo.smooth(0, mo.RaoBlackwellizedSmoother(n=9), model, clouds),
-        "history.law: expected a run that kept it": lambda: mo.smooth(0, mo.GenealogySmoother(), model, mo.run(0, PARTICLES, model, ys)),
-        "TwoFilterSmoother ys: expected the measurements": lambda: mo.smooth(0, mo.TwoFilterSmoother(n=9), model, clouds),
-        "smooth ys: expected shape": lambda: mo.smooth(0, mo.TwoFilterSmoother(n=9), model, clouds, ys[1:]),
+            lambda: mo.smooth(0, mo.smoothers.RaoBlackwellizedSmoother(n=9), model, clouds),
+        "history.law: expected a run that kept it":
+            lambda: mo.smooth(0, mo.smoothers.GenealogySmoother(), model, mo.run(0, PARTICLES, model, ys)),
+        "TwoFilterSmoother ys: expected the measurements": lambda: mo.smooth(0, mo.smoothers.TwoFilterSmoother(n=9), model, clouds),
+        "smooth ys: expected shape": lambda: mo.smooth(0, mo.smoothers.TwoFilterSmoother(n=9), model, clouds, ys[1:]),
         "smooth ys: expected the measurements of the run":
-            lambda: mo.smooth(0, mo.RauchTungStriebelSmoother(), linear([[0.2], [-0.1]]), gaussians),
+            lambda: mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), linear([[0.2], [-0.1]]), gaussians),
         "inputs: expected arrays with the time axis first":
-            lambda: mo.smooth(0, mo.RauchTungStriebelSmoother(), model, gaussians, inputs=np.ones(3)),
+            lambda: mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), model, gaussians, inputs=np.ones(3)),
         "BackwardSimulationSmoother dynamics: expected a log_prob":
-            lambda: mo.smooth(0, mo.BackwardSimulationSmoother(n=9), sampled, clouds),
+            lambda: mo.smooth(0, mo.smoothers.BackwardSimulationSmoother(n=9), sampled, clouds),
         "RejectedParents dynamics: expected additive Gaussian noise":
-            lambda: mo.smooth(0, mo.BackwardSimulationSmoother(n=9, parents=mo.RejectedParents()), heavy, clouds),
-        "BackwardSimulationSmoother parents: expected a rule": lambda: mo.BackwardSimulationSmoother(n=9, parents="exact"),
-        "GenealogySmoother lag: expected": lambda: mo.GenealogySmoother(lag=0),
-        "RauchTungStriebelSmoother rule: expected a rule such as mo.gaussian.Cubature": lambda: mo.RauchTungStriebelSmoother("steep"),
-        "TwoFilterSmoother inflation: expected a factor of at least 1": lambda: mo.TwoFilterSmoother(n=9, inflation=0.5),
-        "PaRIS function: expected a function": lambda: mo.PaRIS(n=9, function=3, size=1),
-        "PaRIS function: expected shape": lambda: mo.run(0, mo.PaRIS(n=9, function=lambda a, b, u, t: a, size=3), model, ys),
+            lambda: mo.smooth(0, mo.smoothers.BackwardSimulationSmoother(n=9, parents=mo.smoothers.RejectedParents()), heavy, clouds),
+        "BackwardSimulationSmoother parents: expected a rule": lambda: mo.smoothers.BackwardSimulationSmoother(n=9, parents="exact"),
+        "GenealogySmoother lag: expected": lambda: mo.smoothers.GenealogySmoother(lag=0),
+        "RauchTungStriebelSmoother rule: expected a rule such as mo.gaussian.Cubature":
+            lambda: mo.smoothers.RauchTungStriebelSmoother("steep"),
+        "TwoFilterSmoother inflation: expected a factor of at least 1": lambda: mo.smoothers.TwoFilterSmoother(n=9, inflation=0.5),
+        "PaRIS function: expected a function": lambda: mo.smoothers.PaRIS(n=9, function=3, size=1),
+        "PaRIS function: expected shape": lambda: mo.run(0, mo.smoothers.PaRIS(n=9, function=lambda a, b, u, t: a, size=3), model, ys),
     }.items():  # fmt: skip
         with pytest.raises(mo.MotesError, match=line):
             call()

@@ -26,7 +26,7 @@ def model(gain=1.0, noise=0.4, offsets=(0.1, 0.0)):
 
 
 def experiment(runs=10, seed=3, filters=None, **changes):
-    filters = filters or {"first": mo.ParticleFilter(n=40), "second": mo.ParticleFilter(n=25, policy=mo.Always())}
+    filters = filters or {"first": mo.ParticleFilter(n=40), "second": mo.ParticleFilter(n=25, policy=mo.resampling.Always())}
     return mo.Experiment(model(), filters, **({"steps": 7, "runs": runs, "seed": seed, "blocks": BLOCKS} | changes))
 
 

@@ -28,7 +28,7 @@ def known(monkeypatch):
 
 def test_rmse_of_another_filter_is_reached_where_the_law_says(known):
     plan = experiment(filters={"goal": mo.ParticleFilter(n=300), "sought": mo.ParticleFilter(n=7)})
-    found = mo.particles_for_rmse(plan, "sought", "place", "goal", (20, 5000), precision=0.02)
+    found = mo.studies.particles_for_rmse(plan, "sought", "place", "goal", (20, 5000), precision=0.02)
     assert found.at_least < 300 < found.at_most and found.at_most < 1.2 * found.at_least
     assert abs(found.n - 300) < 25
     assert known[0] == 300 and len(known) == len(found.trials) + 1 <= 12
@@ -37,14 +37,14 @@ def test_rmse_of_another_filter_is_reached_where_the_law_says(known):
 
 def test_a_number_as_target_has_the_errors_of_one_study(known):
     plan = experiment(filters={"sought": mo.ParticleFilter(n=7)})
-    found = mo.particles_for_rmse(plan, "sought", "place", 2.0, (20, 5000))
+    found = mo.studies.particles_for_rmse(plan, "sought", "place", 2.0, (20, 5000))
     assert found.at_least < 300 < found.at_most
     assert found.trials[0].error == pytest.approx(np.sqrt(46.0) * 0.5 / 2 / 20, rel=0.2)
 
 
 def test_real_runs():
     plan = experiment(runs=40, filters={"goal": mo.ParticleFilter(n=60), "sought": mo.ParticleFilter(n=1)})
-    found = mo.particles_for_rmse(plan, "sought", "both", "goal", (10, 360), precision=100.0)
+    found = mo.studies.particles_for_rmse(plan, "sought", "both", "goal", (10, 360), precision=100.0)
     assert 10 <= found.n <= 360 and len(found.trials) == 2 and found.trials[0].excess > 0 > found.trials[-1].excess
 
 
@@ -57,10 +57,10 @@ def test_particles_for_time():
             return 1e-4 + 1e-6 * n
 
         if expected:
-            assert mo.particles_for_time(budget + 1e-9, seconds, (10, 5000)) == expected and len(calls) < 16
+            assert mo.studies.particles_for_time(budget + 1e-9, seconds, (10, 5000)) == expected and len(calls) < 16
         else:
             with pytest.raises(mo.MotesError, match="a smallest number that takes at most 0.0001 s, got 0.00011 s at 10"):
-                mo.particles_for_time(budget, seconds, (10, 5000))
+                mo.studies.particles_for_time(budget, seconds, (10, 5000))
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
@@ -75,5 +75,5 @@ def test_particles_for_time():
 def test_refusals(known, arguments, message):
     plan = experiment(filters={"sought": mo.ParticleFilter(n=7), "grid": mo.PointMassFilter((0.0, 0.0), (1.0, 1.0), (5, 5))})
     with pytest.raises(mo.MotesError) as error:
-        mo.particles_for_rmse(plan, *arguments)
+        mo.studies.particles_for_rmse(plan, *arguments)
     refused(error, message)

@@ -107,7 +107,7 @@ def test_more_runs_and_filters_come_to_a_store(store, finished):
     after = files_of(store)
     assert before.items() < after.items() and len(after) == len(before) + 3 + 2
     np.testing.assert_array_equal(found.estimates[:2, :10], finished[1].estimates)
-    assert mo.StudyResult.load(store) == found
+    assert mo.studies.StudyResult.load(store) == found
     assert mo.study(experiment(runs=5), store=store) == mo.study(experiment(runs=5))
     assert files_of(store) == after
 
@@ -142,7 +142,7 @@ def test_another_model_is_refused_by_its_part(store):
     with pytest.raises(FileError, match="another filter 'first'"):
         mo.study(experiment(filters=assumed), store=store)
     rebuilt = mo.Experiment(model(), plan.filters, 7, 10, 3, blocks=dict(plan.blocks))
-    assert mo.study(rebuilt, store=store) == mo.StudyResult.load(store)
+    assert mo.study(rebuilt, store=store) == mo.studies.StudyResult.load(store)
 
 
 def test_other_versions_are_refused(store, monkeypatch):
@@ -185,12 +185,12 @@ DAMAGE = {
 def test_damaged_files_are_named_and_repaired(store, finished, kind):
     path = store / "part002-0000000-0000004.npz"
     DAMAGE[kind](path)
-    for attempt in (lambda: mo.study(experiment(), store=store), lambda: mo.StudyResult.load(store)):
+    for attempt in (lambda: mo.study(experiment(), store=store), lambda: mo.studies.StudyResult.load(store)):
         with pytest.raises(FileError) as error:
             attempt()
         refused(error, path.name, "the runs as they were written", "no such file" if kind == "missing" else "a damaged file", "repair=True")
     assert mo.study(experiment(), store=store, repair=True) == finished[1]
-    assert mo.StudyResult.load(store) == finished[1]
+    assert mo.studies.StudyResult.load(store) == finished[1]
 
 
 def test_damage_to_the_ledger_is_found_or_harmless(store, finished):
@@ -200,7 +200,7 @@ def test_damage_to_the_ledger_is_found_or_harmless(store, finished):
     for place in np.linspace(0, 0.9999, 60):
         flip(ledger, place)
         try:
-            assert mo.StudyResult.load(store) == finished[1]
+            assert mo.studies.StudyResult.load(store) == finished[1]
         except FileError as error:
             assert LEDGER in str(error) or "part0" in str(error), error
             found += 1
@@ -227,7 +227,7 @@ def test_rows_that_vanish_are_missed(store, table):
 @pytest.mark.parametrize("rest", [b"", b"this is no ledger at all, and never was one " * 99])
 def test_a_lost_ledger_is_named(store, rest):
     (store / LEDGER).write_bytes(rest)
-    for attempt in (lambda: mo.study(experiment(), store=store), lambda: mo.StudyResult.load(store)):
+    for attempt in (lambda: mo.study(experiment(), store=store), lambda: mo.studies.StudyResult.load(store)):
         with pytest.raises(FileError) as error:
             attempt()
         refused(error, LEDGER)
@@ -247,7 +247,7 @@ def test_a_newer_format_is_refused(store):
         ledger.execute("PRAGMA user_version = 2")
     ledger.close()
     with pytest.raises(FileError, match="expected a ledger of format 1, got format 2"):
-        mo.StudyResult.load(store)
+        mo.studies.StudyResult.load(store)
 
 
 def test_two_writers_are_refused_and_readers_are_not(store, finished):
@@ -255,7 +255,7 @@ def test_two_writers_are_refused_and_readers_are_not(store, finished):
         mo.study(experiment(), store=store)
     refused(error, store, "a store that no other study writes to", f"process {os.getpid()} on ")
     with Store(store):
-        assert mo.StudyResult.load(store) == finished[1]
+        assert mo.studies.StudyResult.load(store) == finished[1]
     assert mo.study(experiment(), store=store) == finished[1]
 
 
@@ -266,8 +266,8 @@ def test_folders_that_cannot_be_used(tmp_path):
             mo.study(experiment(), store=place)
         refused(error, place)
     with pytest.raises(FileError, match="expected the ledger of a study, got none"):
-        mo.StudyResult.load(tmp_path)
+        mo.studies.StudyResult.load(tmp_path)
     with Store(tmp_path / "begun"):
         pass
     with pytest.raises(FileError, match="expected a store with runs, got none yet"):
-        mo.StudyResult.load(tmp_path / "begun")
+        mo.studies.StudyResult.load(tmp_path / "begun")

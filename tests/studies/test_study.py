@@ -85,7 +85,7 @@ def test_order_of_completion_changes_no_bit(result):
 def test_other_processes_give_the_same_bits(result, tmp_path):
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         assert mo.study(FACTORY, store=tmp_path, executor=pool, chunk=3) == result
-    assert mo.StudyResult.load(tmp_path) == result
+    assert mo.studies.StudyResult.load(tmp_path) == result
 
 
 def test_dask_gives_the_same_bits(result):

@@ -37,7 +37,7 @@ def test_a_world_of_modes_is_studied_and_kept(tmp_path):
         np.testing.assert_array_equal(result.estimates[number, 1], history.mean[:, :1])
         square = np.asarray((history.mean - xs[:, : history.mean.shape[1]])[:, 0] ** 2 / history.cov[:, 0, 0])
         np.testing.assert_allclose(result.nees[number, 1, :, 0], square, rtol=1e-4)
-    assert mo.StudyResult.load(tmp_path) == result
+    assert mo.studies.StudyResult.load(tmp_path) == result
     with pytest.raises(mo.FileError, match="model transition"):
         mo.study(plan(world(stay=0.7)), store=tmp_path)
 

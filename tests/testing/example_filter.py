@@ -10,7 +10,7 @@ from motes.laws.gaussian import Correction
 
 
 @record
-class TextbookFilter(mo.TwoStageFilter):
+class TextbookFilter(mo.filters.TwoStageFilter):
     """Kalman filter (Kalman 1960) for models that are given as matrices; its state is a `Gaussian`."""
 
     weighs = False

@@ -49,7 +49,7 @@ def test_a_verdict_tells_rule_by_rule_and_raises():
 
 def test_refusals():
     with pytest.raises(mo.MotesError, match="check_filter filter: expected a filter such as"):
-        mo.testing.check_filter(mo.Cloud)
+        mo.testing.check_filter(mo.laws.Cloud)
     bent = mo.StateSpaceModel(mo.Gaussian([0.0], [[1.0]]), mo.AdditiveGaussian(lambda x, u, t: jnp.sin(x), [[1.0]]),
                               mo.LinearGaussian([[1.0]], [[1.0]]))  # fmt: skip
     with pytest.raises(mo.MotesError, match="TextbookFilter model: expected matrices"):

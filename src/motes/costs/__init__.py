@@ -1,1 +1,5 @@
 """Rank 5: what a filter costs, counted in operations and measured in seconds."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Rank 1: bytes in and out; knows records only, never a filter."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

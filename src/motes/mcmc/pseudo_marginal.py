@@ -28,7 +28,7 @@ class PseudoMarginal(Wrapper, Tunable):
     Attributes:
         kernel: makes the proposals: `RandomWalkMetropolis`, `IndependenceMetropolis` or `MetropolisHastings`.
         renewed: share of the steps whose random numbers a proposal draws anew; below 1 is the correlated form, for a density with `steps`
-            whose `estimate` takes a key for each of them. Its filter had best resample by `mo.Sorted`.
+            whose `estimate` takes a key for each of them. Its filter had best resample by `mo.resampling.Sorted`.
     """
 
     kernel: Any

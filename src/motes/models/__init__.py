@@ -1,1 +1,5 @@
 """Rank 2: what the world does: state-space models, their structure, motions, sensors."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

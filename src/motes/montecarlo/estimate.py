@@ -26,7 +26,7 @@ class Estimate:
         error: standard errors, of the same shape.
         n: points drawn.
         ess: effective number of points under their weights; n without weights.
-        pareto_k: how heavy the tail of the weights is (`mo.pareto_k`); NaN without weights or with few points.
+        pareto_k: how heavy the tail of the weights is (`mo.diagnostics.pareto_k`); NaN without weights or with few points.
         log_evidence: log of the integral of the unnormalized density, `()`; NaN where it was not asked for.
         log_evidence_error: its standard error.
         invalid: points whose weight was NaN; they got none.

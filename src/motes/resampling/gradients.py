@@ -23,7 +23,7 @@ def _told(leaves: list[jax.Array]) -> list[jax.Array]:
 def _tell(primals: Any, tangents: Any) -> tuple[Any, Any]:
     checks.warn(
         "the derivative of a run that resamples leaves out how the picking of particles depends on the parameters: it is not that of the "
-        "log likelihood. Use scheme=mo.StopGradient(mo.Systematic()), or a filter that does not resample."
+        "log likelihood. Use scheme=mo.resampling.StopGradient(mo.resampling.Systematic()), or a filter that does not resample."
     )
     return primals[0], tangents[0]
 

@@ -30,7 +30,7 @@ class Sorted(Scheme):
             MotesError: the scheme is none.
         """
         if not isinstance(self.scheme, Scheme):
-            checks.refuse("Sorted scheme", "a scheme such as mo.Systematic()", type(self.scheme).__name__)
+            checks.refuse("Sorted scheme", "a scheme such as mo.resampling.Systematic()", type(self.scheme).__name__)
 
     def resampled(self, key: jax.Array, cloud: W, first: jax.Array | None) -> W:
         """See `Scheme`."""

@@ -1,0 +1,3 @@
+from .bound import Bound as Bound
+from .kalman_at_truth import kalman_at_truth as kalman_at_truth
+from .posterior_cramer_rao import posterior_cramer_rao as posterior_cramer_rao

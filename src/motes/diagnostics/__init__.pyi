@@ -1,0 +1,13 @@
+from .consistency import Band as Band
+from .consistency import chi_square_band as chi_square_band
+from .consistency import coverage as coverage
+from .consistency import nees as nees
+from .consistency import nis as nis
+from .sets import Gospa as Gospa
+from .sets import gospa as gospa
+from .sets import ospa as ospa
+from .weights import LikelihoodVariance as LikelihoodVariance
+from .weights import founders as founders
+from .weights import log_likelihood_variance as log_likelihood_variance
+from .weights import pareto_k as pareto_k
+from .weights import surviving as surviving

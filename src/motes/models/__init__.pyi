@@ -1,0 +1,1 @@
+from . import terrain as terrain

@@ -1,0 +1,2 @@
+from .plan import Pilot as Pilot
+from .plan import Plan as Plan

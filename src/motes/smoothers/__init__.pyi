@@ -1,0 +1,12 @@
+from .backward_simulation import BackwardSimulationSmoother as BackwardSimulationSmoother
+from .genealogy import GenealogySmoother as GenealogySmoother
+from .interface import Smoothed as Smoothed
+from .interface import Smoother as Smoother
+from .mixture import MixtureSmoother as MixtureSmoother
+from .parents import ExactParents as ExactParents
+from .parents import RejectedParents as RejectedParents
+from .parents import SteppedParents as SteppedParents
+from .paris import PaRIS as PaRIS
+from .rao_blackwellized import RaoBlackwellizedSmoother as RaoBlackwellizedSmoother
+from .rauch_tung_striebel import RauchTungStriebelSmoother as RauchTungStriebelSmoother
+from .two_filter import TwoFilterSmoother as TwoFilterSmoother
