@@ -10,7 +10,7 @@ import numpy as np
 from motes.core.record import values
 from motes.filters.history import joined
 from motes.filters.stream import Stream
-from motes.testing.session import GAP, LANES, STEPS, Session, differing, quietly, times_traced
+from motes.testing.session import GAP, STEPS, Session, differing, quietly, times_traced
 
 
 def _unlike(what: str, found: Any, wanted: Any) -> str | None:
@@ -85,9 +85,9 @@ def vmapped(session: Session) -> str | None:
     """Under `vmap` over keys, models and data each run gives what it gives alone."""
     lanes, (model, ys) = session.lanes, session.other
     # a draw can tip over where sums are rounded otherwise, which is far less than what another key changes
-    slack = 0.3 * lanes.mean[:LANES].std(axis=0) + 2e-3 * np.sqrt(np.diagonal(np.asarray(session.clean.cov), axis1=1, axis2=2))
-    for lane in (0, 1, LANES, LANES + 1):
-        given = {"model": model, "ys": ys} if lane >= LANES else {"ys": session.ys}
+    slack = 0.3 * lanes.mean[: lanes.alike].std(axis=0) + 2e-3 * np.sqrt(np.diagonal(np.asarray(session.clean.cov), axis1=1, axis2=2))
+    for lane in (0, 1, lanes.alike, lanes.alike + 1):
+        given = {"model": model, "ys": ys} if lane >= lanes.alike else {"ys": session.ys}
         alone = session.run(key=lanes.keys[lane], **given)
         off = np.abs(lanes.mean[lane] - np.asarray(alone.mean))
         if not (off <= slack + 1e-5).all():

@@ -13,7 +13,7 @@ from motes.filters.history import History
 from motes.filters.kalman import KalmanFilter
 from motes.resampling.policy import Never
 from motes.testing.models import EXTREME, extreme, linear, one_state
-from motes.testing.session import LANES, STEPS, DoesNotApply, Session, quietly
+from motes.testing.session import STEPS, DoesNotApply, Session, quietly
 
 OUTLIER = 3
 """Step of the outlier."""
@@ -43,11 +43,12 @@ def likelihood(session: Session) -> str | None:
     session.ask_likelihood()
     session.ask_own_model()
     exact = session.run(session.ys, filter=KalmanFilter()).log_likelihood
-    ratio = np.exp(session.lanes.log_evidence[:LANES].astype(float).sum(axis=1) - float(exact))
-    error = 4.9 * ratio.std(ddof=1) / np.sqrt(LANES)
+    alike = session.lanes.alike
+    ratio = np.exp(session.lanes.log_evidence[:alike].astype(float).sum(axis=1) - float(exact))
+    error = 4.9 * ratio.std(ddof=1) / np.sqrt(alike)
     if abs(ratio.mean() - 1) < error + 0.02:
         return None
-    return f"it is {ratio.mean():.4g} times the exact one, on average over {LANES} keys, give or take {error:.2g}."
+    return f"it is {ratio.mean():.4g} times the exact one, on average over {alike} keys, give or take {error:.2g}."
 
 
 def derivative(session: Session) -> str | None:

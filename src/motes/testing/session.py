@@ -25,7 +25,7 @@ STEPS = 12
 GAP, PARTLY = 4, 6
 """Steps at which nothing, and not the first component, is measured."""
 LANES, OTHERS = 100, 4
-"""Runs at a time: with keys of their own on the same model and data, and on others."""
+"""Runs at a time: with keys of their own on the same model and data, two where keys change nothing, and on others."""
 
 _traced = [0]
 
@@ -50,11 +50,13 @@ class Lanes(NamedTuple):
 
     Attributes:
         keys: of the runs, `(lanes,)`.
+        alike: how many of them, the first ones, differ in their keys alone.
         mean: their filtered means, `(lanes, t, x)`.
         log_evidence: log density of their measurements, `(lanes, t)`.
     """
 
     keys: jax.Array
+    alike: int
     mean: np.ndarray
     log_evidence: np.ndarray
 
@@ -133,8 +135,9 @@ class Session:
     def lanes(self) -> Lanes:
         """Many runs at a time, the last few of them on another model and other measurements."""
         model, ys = self.other
-        keys = jax.random.split(jax.random.key(11), LANES + OTHERS)
-        which = (np.arange(LANES + OTHERS) >= LANES).astype(int)
+        count = LANES if differing(self.clean.mean, self.run(self.ys, key=4).mean) else 2
+        keys = jax.random.split(jax.random.key(11), count + OTHERS)
+        which = (np.arange(count + OTHERS) >= count).astype(int)
         models, data = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves])[which],
                                     (self.model, self.ys), (model, ys))  # fmt: skip
 
@@ -142,7 +145,7 @@ class Session:
             history = self.run(ys, key, model=model)
             return history.mean, history.info.log_evidence
 
-        return Lanes(keys, *map(np.asarray, jax.vmap(one)(keys, models, data)))
+        return Lanes(keys, count, *map(np.asarray, jax.vmap(one)(keys, models, data)))
 
     @property
     def has_size(self) -> bool:
