@@ -148,7 +148,7 @@ def main():
         ours("random walk", walk, 4, 20_000),
         ours("random walk", walk, 64, 4_000),
         ours("NUTS", mo.mcmc.Adaptive(mo.mcmc.NUTS(), steps=2_000), 4, 2_000),
-        ours("HMC of 5 leaps", mo.mcmc.Adaptive(mo.mcmc.HMC(leaps=5), steps=2_000), 4, 4_000),
+        ours("HMC of 5 leaps", mo.mcmc.Adaptive(mo.mcmc.HMC(num_steps=5), steps=2_000), 4, 4_000),
         blackjaxs("random walk", 4, 20_000),
         blackjaxs("random walk", 64, 4_000),
         blackjaxs("NUTS", 4, 2_000),

@@ -80,8 +80,8 @@ def test_estimates_may_differ_by_their_noise():
 
 
 def test_leaps_come_first():
-    assert mcmc.HMC(8).leaps == 8 and mcmc.HMC(8) == mcmc.HMC(leaps=8) and float(mcmc.HMC(8).scale) == 0.1
-    with pytest.raises(mo.MotesError, match="HMC leaps: expected a whole number of at least 1, got 0.3"):
+    assert mcmc.HMC(8).num_steps == 8 and mcmc.HMC(8) == mcmc.HMC(num_steps=8) and float(mcmc.HMC(8).step_size) == 0.1
+    with pytest.raises(mo.MotesError, match="HMC num_steps: expected a whole number of at least 1, got 0.3"):
         mcmc.HMC(0.3)
 
 

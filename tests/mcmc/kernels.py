@@ -38,7 +38,7 @@ def examples():
         "MultipleTry, plain": mcmc.MultipleTry(lopsided, 3, weight="plain"),
         "MALA": mcmc.MALA(0.6),
         "HMC": mcmc.HMC(4, 0.3),
-        "NUTS": mcmc.NUTS(0.5, doublings=3),
+        "NUTS": mcmc.NUTS(0.5, max_tree_depth=3),
         "Adaptive": mcmc.Adaptive(walk, steps=1),
         "Cycle": mcmc.Cycle([mcmc.Block(0, mcmc.RandomWalkMetropolis(1.2)), mcmc.Block((1,), mcmc.RandomWalkMetropolis(0.4))]),
         "Block": mcmc.Block(1, mcmc.RandomWalkMetropolis(0.8)),

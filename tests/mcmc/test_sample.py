@@ -93,7 +93,7 @@ def test_a_chain_that_never_moves_is_told():
     assert "never accepted" in chains.diagnose()
 
 
-SEVERAL = [mcmc.RandomWalkMetropolis(1.0), mcmc.HMC(scale=0.3), mcmc.NUTS(0.3), mcmc.MALA(0.5),
+SEVERAL = [mcmc.RandomWalkMetropolis(1.0), mcmc.HMC(step_size=0.3), mcmc.NUTS(0.3), mcmc.MALA(0.5),
            mcmc.MultipleTry(mo.LinearGaussian(jnp.eye(2), jnp.eye(2)), 3)]  # fmt: skip
 
 
@@ -182,9 +182,9 @@ KNOBS = [
     (lambda: mcmc.Adaptive(mcmc.Cycle([mcmc.HMC()])), "Adaptive kernel: expected RandomWalkMetropolis"),
     (lambda: mcmc.Gibbs({}), "Gibbs draws: expected a dictionary"),
     (lambda: mcmc.Gibbs({"a": 3}), "Gibbs draws\\['a'\\]: expected a function"),
-    (lambda: mcmc.HMC(leaps=0), "HMC leaps: expected a whole number of at least 1"),
-    (lambda: mcmc.NUTS(doublings=1.5), "NUTS doublings: expected a whole number"),
-    (lambda: mcmc.HMC(scale=0.0), "HMC scale: expected a number above 0"),
+    (lambda: mcmc.HMC(num_steps=0), "HMC num_steps: expected a whole number of at least 1"),
+    (lambda: mcmc.NUTS(max_tree_depth=1.5), "NUTS max_tree_depth: expected a whole number"),
+    (lambda: mcmc.HMC(step_size=0.0), "HMC step_size: expected a number above 0"),
     (lambda: mcmc.joined([]), "pieces: expected at least one Chains"),
 ]
 

@@ -262,7 +262,7 @@ def test_the_likelihood_has_a_gradient():
     for k in range(2):
         step = 1e-2 * jnp.eye(2)[k]
         np.testing.assert_allclose(slope[k], (posterior(at + step) - posterior(at - step)) / 2e-2, rtol=0.05, atol=0.02)
-    chains = mo.sample(0, mcmc.Adaptive(mcmc.HMC(leaps=5)), posterior, posterior.starts, draws=200, chains=2, burn_in=200)
+    chains = mo.sample(0, mcmc.Adaptive(mcmc.HMC(num_steps=5)), posterior, posterior.starts, draws=200, chains=2, burn_in=200)
     assert np.isfinite(np.asarray(chains.log_density)).all()
 
 

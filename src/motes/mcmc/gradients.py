@@ -18,23 +18,23 @@ from motes.mcmc.interface import Info, Kernel, LogDensity, State, Tunable
 
 @record
 class GradientKernel(Kernel, Tunable):
-    """A kernel that needs the gradient; wrap it in `Adaptive` rather than choosing its scale.
+    """A kernel that needs the gradient; wrap it in `Adaptive` rather than choosing its step size.
 
     Attributes:
-        scale: of a step, `()`.
+        step_size: of a step, `()`.
         factor: L `(x, x)` of the density's covariance L L', or None for the unit matrix.
     """
 
-    scale: jax.Array | float = 0.1
+    step_size: jax.Array | float = 0.1
     factor: jax.Array | None = None
 
     def __post_init__(self) -> None:
-        """Check the scale.
+        """Check the step size.
 
         Raises:
             MotesError: it is not positive.
         """
-        checks.above_zero(f"{type(self).__name__} scale", self.scale)
+        checks.above_zero(f"{type(self).__name__} step_size", self.step_size)
 
     def check(self, key: jax.Array, log_density: LogDensity, position: Any) -> None:
         """Ask for blackjax and for positions that have gradients."""
@@ -48,9 +48,9 @@ class GradientKernel(Kernel, Tunable):
         """1 / x^(1/4) (Beskos et al. 2013)."""
         return size**-0.25
 
-    def tuned(self, scale: jax.Array, factor: jax.Array) -> "GradientKernel":
+    def tuned(self, step_size: jax.Array, factor: jax.Array) -> "GradientKernel":
         """Return the kernel for densities of covariance L L'."""
-        return replace(self, scale=scale, factor=factor)
+        return replace(self, step_size=step_size, factor=factor)
 
     @abstractmethod
     def trajectory(self, key: jax.Array, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
@@ -87,29 +87,29 @@ class MALA(GradientKernel):
 
     def trajectory(self, key: jax.Array, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Take trajectories of a single leap, which are Langevin steps; blackjax's own say nothing of densities that are no numbers."""
-        return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), 1)
+        return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.step_size, dtype), jnp.ones(size, dtype), 1)
 
 
 @record
 class HMC(GradientKernel):
-    """Hamiltonian trajectories of a random number of leaps (Mackenzie 1989): those of one length may come back to where they began.
+    """Hamiltonian trajectories of a random number of steps (Mackenzie 1989): those of one length may come back to where they began.
 
     Attributes:
-        scale: of a leap, `()`.
+        step_size: of a leapfrog step, `()`.
         factor: see `GradientKernel`.
-        leaps: the most of a trajectory; each number from 1 on is equally likely.
+        num_steps: leapfrog steps of a trajectory, the most; each number from 1 on is equally likely.
     """
 
-    leaps: int = static(default=10)
+    num_steps: int = static(default=10)
 
-    def __init__(self, leaps: int = 10, scale: jax.Array | float = 0.1, factor: jax.Array | None = None):
+    def __init__(self, num_steps: int = 10, step_size: jax.Array | float = 0.1, factor: jax.Array | None = None):
         """Check the knobs.
 
         Raises:
-            MotesError: the scale is not positive, or leaps no positive whole number.
+            MotesError: the step size is not positive, or num_steps no positive whole number.
         """
-        checks.positive_integer("HMC leaps", leaps)
-        for name, value in (("scale", scale), ("factor", factor), ("leaps", leaps)):
+        checks.positive_integer("HMC num_steps", num_steps)
+        for name, value in (("step_size", step_size), ("factor", factor), ("num_steps", num_steps)):
             object.__setattr__(self, name, value)
         GradientKernel.__post_init__(self)
 
@@ -119,8 +119,8 @@ class HMC(GradientKernel):
 
     def trajectory(self, key: jax.Array, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Take trajectories."""
-        leaps = 1 + jnp.int32(self.leaps * random.uniform(key, (), jnp.float32))
-        return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), leaps)
+        steps = 1 + jnp.int32(self.num_steps * random.uniform(key, (), jnp.float32))
+        return checks.need("blackjax.mcmc.hmc", "mcmc"), (jnp.asarray(self.step_size, dtype), jnp.ones(size, dtype), steps)
 
 
 @record
@@ -128,21 +128,21 @@ class NUTS(GradientKernel):
     """Hamiltonian trajectories that end where they turn back: the no-U-turn sampler.
 
     Attributes:
-        scale: of a leap, `()`.
+        step_size: of a leapfrog step, `()`.
         factor: see `GradientKernel`.
-        doublings: of a trajectory, at most.
+        max_tree_depth: doublings of a trajectory, at most.
     """
 
-    doublings: int = static(default=10)
+    max_tree_depth: int = static(default=10)
 
     def __post_init__(self) -> None:
         """Check the knobs.
 
         Raises:
-            MotesError: the scale is not positive, or doublings no positive whole number.
+            MotesError: the step size is not positive, or max_tree_depth no positive whole number.
         """
         GradientKernel.__post_init__(self)
-        checks.positive_integer("NUTS doublings", self.doublings)
+        checks.positive_integer("NUTS max_tree_depth", self.max_tree_depth)
 
     def target(self, size: int) -> float:
         """0.8 (Hoffman, Gelman 2014)."""
@@ -150,4 +150,4 @@ class NUTS(GradientKernel):
 
     def trajectory(self, key: jax.Array, size: int, dtype: Any) -> tuple[Any, tuple[Any, ...]]:
         """Take trajectories that stop in time."""
-        return checks.need("blackjax.mcmc.nuts", "mcmc"), (jnp.asarray(self.scale, dtype), jnp.ones(size, dtype), self.doublings)
+        return checks.need("blackjax.mcmc.nuts", "mcmc"), (jnp.asarray(self.step_size, dtype), jnp.ones(size, dtype), self.max_tree_depth)

@@ -117,8 +117,8 @@ class Tunable(ABC):
         """Scale that serves best for a standard normal density in so many dimensions."""
 
     @abstractmethod
-    def tuned(self, scale: jax.Array, factor: jax.Array) -> Any:
-        """Return the kernel with a scale `()` for densities of covariance L L', L `(x, x)` lower."""
+    def tuned(self, step_size: jax.Array, factor: jax.Array) -> Any:
+        """Return the kernel with a step size `()` for densities of covariance L L', L `(x, x)` lower."""
 
 
 def settle(key: jax.Array, state: State, proposed: State, log_ratio: jax.Array) -> tuple[State, Info]:

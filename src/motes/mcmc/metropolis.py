@@ -62,9 +62,9 @@ class RandomWalkMetropolis(Proposing, Tunable):
         """2.38 / sqrt(x) (the same)."""
         return 2.38 / size**0.5
 
-    def tuned(self, scale: jax.Array, factor: jax.Array) -> "RandomWalkMetropolis":
-        """Return the walk with steps of covariance scale^2 L L'."""
-        return RandomWalkMetropolis(scale * factor)
+    def tuned(self, step_size: jax.Array, factor: jax.Array) -> "RandomWalkMetropolis":
+        """Return the walk with steps of covariance step_size^2 L L'."""
+        return RandomWalkMetropolis(step_size * factor)
 
 
 @record

@@ -100,6 +100,6 @@ class PseudoMarginal(Wrapper, Tunable):
         """That of the kernel."""
         return self.kernel.first_scale(size)
 
-    def tuned(self, scale: jax.Array, factor: jax.Array) -> "PseudoMarginal":
+    def tuned(self, step_size: jax.Array, factor: jax.Array) -> "PseudoMarginal":
         """Return the kernel with other steps."""
-        return replace(self, kernel=self.kernel.tuned(scale, factor))
+        return replace(self, kernel=self.kernel.tuned(step_size, factor))
