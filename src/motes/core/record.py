@@ -37,6 +37,8 @@ def record(cls: type[T]) -> type[T]:
     cls.__eq__ = _equal
     cls.__hash__ = _hash
     cls.__repr__ = _describe
+    if "__str__" in cls.__dict__ and "_repr_markdown_" not in cls.__dict__:
+        cls._repr_markdown_ = _in_a_notebook  # type: ignore[attr-defined]
     made = dataclasses.dataclass(frozen=True, init=not own_init, eq=False, repr=False)(cls)
     fields = dataclasses.fields(made)  # type: ignore[arg-type]
     fixed = frozenset(f.name for f in fields if f.metadata.get("static"))
@@ -116,6 +118,10 @@ def _hash(self: Any) -> int:
     return hash((type(self), _identity(self)))
 
 
+def _in_a_notebook(self: Any) -> str:
+    return f"```text\n{self}\n```"
+
+
 def _describe(self: Any) -> str:
     def of_array(array: np.ndarray) -> Any:
         if array.size <= 8:
@@ -129,6 +135,13 @@ def _describe(self: Any) -> str:
             return of_array(np.asarray(value))
         if is_function(value):
             return getattr(value, "__qualname__", repr(value))
+        if type(value) is dict:
+            return f"{{{', '.join(f'{name!r}: {text(part)}' for name, part in value.items())}}}"
+        if type(value) in (list, tuple):
+            inside = ", ".join(map(text, value))
+            return f"[{inside}]" if type(value) is list else f"({inside}{',' * (len(value) == 1)})"
+        if isinstance(value, tuple) and hasattr(value, "_fields"):
+            return f"{type(value).__name__}({', '.join(f'{name}={text(part)}' for name, part in zip(value._fields, value, strict=True))})"
         return repr(value)
 
     shown = ", ".join(f"{f.name}={text(getattr(self, f.name))}" for f in dataclasses.fields(self))

@@ -79,6 +79,23 @@ class History:
     descends: bool = static(default=True)
     rounding: jax.Array | None = None
 
+    def __str__(self) -> str:
+        """Print what was run and how it went, one line each."""
+        if np.ndim(self.info.ess) != 1 or not checks.is_concrete(self.info.ess):
+            return repr(self)
+        ess, first = np.asarray(self.info.ess), int(self.start)
+        lines = [f"filter          {self.label}", f"steps           {first} to {first + ess.size - 1}"]
+        if "mean" in self.kept and "cov" in self.kept:
+            spread = np.sqrt(np.diagonal(np.asarray(self.cov[-1])))
+            each = zip(self.names, np.asarray(self.mean[-1]), spread, strict=True)
+            lines.append(f"at the end      {', '.join(f'{name} {value:.4g} +- {scale:.2g}' for name, value, scale in each)}")
+        if self.has_evidence:
+            lines.append(f"log likelihood  {float(self.log_likelihood):.6g}")
+        if self.particles:
+            lines.append(f"effective size  {np.median(ess):.4g} of {self.particles} (median), {ess.min():.3g} at the least")
+        lines.append(f"kept            {', '.join(self.kept) or 'nothing'}; engine {self.engine}")
+        return "\n".join(lines)
+
     def _kept(self, name: str) -> Any:
         if name not in self.kept:
             checks.refuse(f"history.{name}", "a run that kept it", f"one that kept {' and '.join(self.kept) or 'nothing'}",

@@ -57,6 +57,10 @@ class StudyResult:
     seed: int = static()
     provenance: tuple[tuple[str, str], ...] = static()
 
+    def __str__(self) -> str:
+        """Print the table."""
+        return str(self.table())
+
     @classmethod
     def load(cls, store: str | Path) -> "StudyResult":
         """Read a store: of the filters of the study that used it last, the runs that all of them have, which is what can be compared.

@@ -1,0 +1,48 @@
+"""What results print: a few lines that read, arrays in short form, and the same in a notebook."""
+
+import jax
+import numpy as np
+import pytest
+
+import motes as mo
+
+STEADY = mo.StateSpaceModel(
+    mo.Gaussian([0.0, 0.0], np.eye(2)), mo.LinearGaussian([[1.0, 1.0], [0.0, 1.0]], 0.1 * np.eye(2)), mo.LinearGaussian([[1.0, 0.0]], [[0.5]]), ("px", "vx")
+)
+YS = np.linspace(0.0, 3.0, 40)[:, None]
+
+
+@pytest.fixture(scope="module")
+def histories():
+    return {
+        "kalman": mo.run(0, mo.KalmanFilter(), STEADY, YS),
+        "particles": mo.run(0, mo.ParticleFilter(n=500), STEADY, YS, keep=mo.keep.laws),
+    }
+
+
+def test_histories_print_in_a_few_lines(histories):
+    printed = {name: str(history) for name, history in histories.items()}
+    assert all(len(text.splitlines()) <= 6 and "0 to 39" in text and "log likelihood" in text for text in printed.values())
+    assert "effective size" in printed["particles"] and "effective size" not in printed["kalman"]
+    mean, deviation = float(histories["kalman"].mean[-1, 1]), float(histories["kalman"].cov[-1, 1, 1]) ** 0.5
+    assert f"vx {mean:.4g} +- {deviation:.2g}" in printed["kalman"]
+
+
+def test_arrays_are_short_wherever_they_lie(histories):
+    for history in histories.values():
+        text = repr(history)
+        assert len(text) < 2500 and "float32[40,2]" in text
+    assert repr(mo.ParticleFilter(n=3)) == repr(mo.ParticleFilter(n=3)) and "..." not in repr(STEADY)
+
+
+def test_what_prints_shows_in_a_notebook_too(histories):
+    shown = [histories["kalman"], mo.diagnose(histories["kalman"]), mo.structure(STEADY)]
+    assert all(f"\n{one}\n" in one._repr_markdown_() for one in shown)
+    assert not hasattr(STEADY, "_repr_markdown_")
+
+
+def test_many_histories_at_once_print(histories):
+    many = jax.vmap(lambda key: mo.run(key, mo.ParticleFilter(n=5, on_collapse="predict"), STEADY, YS[:3]))(
+        jax.random.split(jax.random.key(0), 2)
+    )
+    assert str(many) == repr(many)
