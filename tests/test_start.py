@@ -1,8 +1,13 @@
 """What starting up imports: JAX only when it is used, heavy packages only by who needs them."""
 
+import importlib
+import inspect
 import json
+import pkgutil
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -33,3 +38,16 @@ def test_public_names_import_nothing_heavy():
     modules = imported("import motes\nfor name in motes.__all__: getattr(motes, name)")
     assert "jax" in modules and not modules & set(HEAVY)
     assert 30 < len(motes.__all__) <= 85
+
+
+def test_no_file_hides_a_public_name():
+    """A function that is called as its file gives way to the file once that was imported."""
+    for found in pkgutil.walk_packages(motes.__path__, "motes."):
+        importlib.import_module(found.name)
+    named = [getattr(motes, name) for name in motes.__all__]
+    rooms = [motes, *(room for room in named if inspect.ismodule(room) and hasattr(room, "__path__"))]
+    assert len(rooms) > 10
+    hidden = [f"{room.__name__}.{name}" for room in rooms for file, name in
+              re.findall(r"^from (\.\S+) import (\w+) as", Path(room.__file__).with_suffix(".pyi").read_text(), re.M)
+              if inspect.ismodule(getattr(room, name)) and f"{file}.{name}" not in (".filters.keep", ".models.terrain")]  # fmt: skip
+    assert hidden == []

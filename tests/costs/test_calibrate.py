@@ -9,8 +9,8 @@ from scipy.stats import linregress, t
 import motes as mo
 from data import refused
 from motes.cli.main import main
-from motes.costs import calibrate as room
-from motes.costs.calibrate import PARTICLES, Slope
+from motes.costs import calibration as room
+from motes.costs.calibration import PARTICLES, Slope
 from motes.costs.measure import least_seconds
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import motes as mo
 from data import refused
-from motes.costs.complexity import TABLE_I, kalman_measurement_update, particle_ratio
+from motes.costs.flops import TABLE_I, kalman_measurement_update, particle_ratio
 
 PAPER = mo.costs.Costs.paper()
 FREE = mo.costs.Costs(0, 0, 0)

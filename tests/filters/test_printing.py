@@ -7,7 +7,10 @@ import pytest
 import motes as mo
 
 STEADY = mo.StateSpaceModel(
-    mo.Gaussian([0.0, 0.0], np.eye(2)), mo.LinearGaussian([[1.0, 1.0], [0.0, 1.0]], 0.1 * np.eye(2)), mo.LinearGaussian([[1.0, 0.0]], [[0.5]]), ("px", "vx")
+    mo.Gaussian([0.0, 0.0], np.eye(2)),
+    mo.LinearGaussian([[1.0, 1.0], [0.0, 1.0]], 0.1 * np.eye(2)),
+    mo.LinearGaussian([[1.0, 0.0]], [[0.5]]),
+    ("px", "vx"),
 )
 YS = np.linspace(0.0, 3.0, 40)[:, None]
 

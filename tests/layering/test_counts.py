@@ -8,7 +8,7 @@ LOOPS = ("scan", "fori_loop", "while_loop", "associative_scan")
 ELSEWHERE = {
     "core/loop.py": "the loop over time",
     "core/sums.py": "over blocks of particles",
-    "costs/calibrate.py": "repeats a product of matrices that is timed",
+    "costs/calibration.py": "repeats a product of matrices that is timed",
     "filters/alarm.py": "over all steps at once, in log2(t) rounds",
     "filters/parallel.py": "over all steps at once, in log2(t) rounds",
     "mcmc/compose.py": "repeats a kernel of a Markov chain, which has no time",

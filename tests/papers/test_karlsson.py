@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import motes as mo
-from motes.costs.calibrate import Slope
+from motes.costs.calibration import Slope
 
 FOLDER = Path(__file__).parents[2] / "papers" / "karlsson2004"
 FIXED = {"PPPPPP": 10e-6, "PPKKPP": 12e-6, "PPPPKK": 8e-6, "PPKKKK": 5e-6}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import motes as mo
-from motes.costs.calibrate import Calibration, Slope
+from motes.costs.calibration import Calibration, Slope
 from motes.models.textbook import radar_tracking
 from motes.planning.candidates import candidates
 from motes.planning.sizes import Clock

@@ -1,3 +1,3 @@
+from .at_truth import kalman_at_truth as kalman_at_truth
 from .bound import Bound as Bound
-from .kalman_at_truth import kalman_at_truth as kalman_at_truth
-from .posterior_cramer_rao import posterior_cramer_rao as posterior_cramer_rao
+from .cramer_rao import posterior_cramer_rao as posterior_cramer_rao

@@ -29,8 +29,8 @@ def main(words: Sequence[str]) -> None:
     settings = from_flags(Calibrate(), words, "motes calibrate")
     keep_programs()
     from motes.cli.running import show
-    from motes.costs.calibrate import calibrate
-    from motes.costs.complexity import Costs
+    from motes.costs.calibration import calibrate
+    from motes.costs.flops import Costs
 
     found = calibrate(refresh=settings.refresh)
     paper = Costs.paper()

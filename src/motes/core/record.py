@@ -140,8 +140,8 @@ def _describe(self: Any) -> str:
         if type(value) in (list, tuple):
             inside = ", ".join(map(text, value))
             return f"[{inside}]" if type(value) is list else f"({inside}{',' * (len(value) == 1)})"
-        if isinstance(value, tuple) and hasattr(value, "_fields"):
-            return f"{type(value).__name__}({', '.join(f'{name}={text(part)}' for name, part in zip(value._fields, value, strict=True))})"
+        if isinstance(value, tuple) and hasattr(value, "_asdict"):
+            return f"{type(value).__name__}({', '.join(f'{name}={text(part)}' for name, part in value._asdict().items())})"  # type: ignore[attr-defined]
         return repr(value)
 
     shown = ", ".join(f"{f.name}={text(getattr(self, f.name))}" for f in dataclasses.fields(self))

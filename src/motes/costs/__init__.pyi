@@ -1,9 +1,9 @@
-from .calibrate import Calibration as Calibration
-from .calibrate import calibrate as calibrate
-from .complexity import Costs as Costs
-from .complexity import complexity as complexity
-from .complexity import equivalent_particles as equivalent_particles
-from .complexity import particle_ratio as particle_ratio
+from .calibration import Calibration as Calibration
+from .calibration import calibrate as calibrate
+from .flops import Costs as Costs
+from .flops import complexity as complexity
+from .flops import equivalent_particles as equivalent_particles
+from .flops import particle_ratio as particle_ratio
 from .measure import StepTime as StepTime
 from .measure import fit_step_time as fit_step_time
 from .measure import seconds_per_step as seconds_per_step

@@ -12,11 +12,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from motes.bounds.posterior_cramer_rao import posterior_cramer_rao
+from motes.bounds.cramer_rao import posterior_cramer_rao
 from motes.core import checks
 from motes.core.record import record, static
 from motes.core.types import Inputs
-from motes.costs.calibrate import Calibration, calibrate
+from motes.costs.calibration import Calibration, calibrate
 from motes.costs.measure import seconds_per_step
 from motes.filters.interface import Filter
 from motes.io.result_table import Table

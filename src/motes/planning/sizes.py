@@ -8,8 +8,8 @@ from motes.core import checks
 from motes.core.progress import tracked
 from motes.core.record import replace, values
 from motes.core.types import Inputs
-from motes.costs.calibrate import Calibration
-from motes.costs.complexity import complexity
+from motes.costs.calibration import Calibration
+from motes.costs.flops import complexity
 from motes.costs.measure import SPAN, StepTime, least_seconds, whole_run
 from motes.filters.interface import Filter
 from motes.filters.marginalized import MarginalizedParticleFilter

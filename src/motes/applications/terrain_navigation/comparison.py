@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from motes.applications.terrain_navigation.model import Track, places_of
 from motes.applications.terrain_navigation.scenario import LOST, Flight
-from motes.bounds.kalman_at_truth import kalman_at_truth
+from motes.bounds.at_truth import kalman_at_truth
 from motes.core.progress import tracked
 from motes.core.record import replace
 from motes.diagnostics.consistency import chi_square_band

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
-from motes.bounds.kalman_at_truth import kalman_at_truth
+from motes.bounds.at_truth import kalman_at_truth
 from motes.core import linalg
 from motes.core.loop import loop
 from motes.core.record import replace

@@ -24,7 +24,7 @@ from scipy.special import stdtrit
 from motes.core import checks, engine, linalg, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs
-from motes.costs.complexity import Costs
+from motes.costs.flops import Costs
 from motes.costs.measure import least_seconds
 from motes.filters.particle import ParticleFilter
 from motes.io import archive
