@@ -90,7 +90,7 @@ def examples():
     import motes as mo
 
     found = {name: example(cls) for name, cls in filter_classes().items()}
-    found["PaRIS"] = example(mo.PaRIS, n=100)  # whose cost is that of n^2
+    found["PaRIS"] = example(mo.smoothers.PaRIS, n=100)  # whose cost is that of n^2
     proposal = mo.AdditiveGaussian(lambda x, uy, t: 0.8 * x, [[1.5, 0.2], [0.2, 1.0]])
     found["ParticleFilter, proposal"] = mo.ParticleFilter(n=300, proposal=proposal)
     found["ParticleFilter, extended Kalman"] = mo.ParticleFilter(n=300, proposal=mo.ExtendedKalmanProposal())

@@ -75,7 +75,7 @@ def may_be_left_out(rule, filter):
 
 def test_every_filter_and_smoother_is_found_and_documented():
     found = filter_classes() | smoother_classes()
-    public = [getattr(mo, name) for name in mo.__all__]
+    public = [getattr(room, name) for room in (mo, mo.smoothers) for name in room.__all__]
     classes = [one for one in public if isinstance(one, type) and not inspect.isabstract(one)]
     kinds = {one.__name__ for one in classes if issubclass(one, (Filter, Smoother))}
     assert kinds == set(found) - {"SkeletonFilter"}

@@ -43,7 +43,7 @@ def known(program, monkeypatch):
         return Slope(value, value, value, 1.0)
 
     calibration = mo.costs.Calibration(*map(constant, (FLOP, C1 * FLOP, C2 * FLOP, C3 * FLOP)), engine="jax", device="cpu")
-    monkeypatch.setattr(mo, "seconds_per_step", seconds)
+    monkeypatch.setattr(mo.costs, "seconds_per_step", seconds)
     monkeypatch.setattr(mo, "calibrate", lambda refresh: calibration)
 
 
@@ -177,7 +177,7 @@ def test_equal_times_where_times_have_steps(program, monkeypatch):
         own = isinstance(filter, mo.MarginalizedParticleFilter)
         return 1e-7 * filter.n * (1.2 if own and filter.n not in (700, 1_000, 1_600) else 0.81 if own else 1.0)
 
-    monkeypatch.setattr(mo, "seconds_per_step", seconds)
+    monkeypatch.setattr(mo.costs, "seconds_per_step", seconds)
     sizes, times = clock.matched(("PPPPPP", "PPKKKK"), 1_000, 1)
     assert sizes == {"PPPPPP": 1_000, "PPKKKK": 2 * round(1_234 / 1.4808 / 2)}
     assert times == pytest.approx({"PPPPPP": 1e-4, "PPKKKK": 1e-7 * 1.2 * 834})
@@ -192,7 +192,7 @@ def test_least_of_the_turns_counts(program, monkeypatch):
         asked.append(filter.n)
         return 1e-6 * (filter.n + [5, 0, 9][(len(asked) - 1) // 2])
 
-    monkeypatch.setattr(mo, "seconds_per_step", seconds)
+    monkeypatch.setattr(mo.costs, "seconds_per_step", seconds)
     times = clock.in_turns([("PPPPPP", 100), ("PPKKKK", 300)], 3)
     assert asked == [100, 300, 100, 300, 100, 300]
     assert times == {("PPPPPP", 100): 1e-6 * 100, ("PPKKKK", 300): 1e-6 * 300}
