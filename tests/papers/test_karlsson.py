@@ -44,7 +44,7 @@ def known(program, monkeypatch):
 
     calibration = mo.costs.Calibration(*map(constant, (FLOP, C1 * FLOP, C2 * FLOP, C3 * FLOP)), engine="jax", device="cpu")
     monkeypatch.setattr(mo.costs, "seconds_per_step", seconds)
-    monkeypatch.setattr(mo, "calibrate", lambda refresh: calibration)
+    monkeypatch.setattr(mo.costs, "calibrate", lambda refresh: calibration)
 
 
 @pytest.fixture(scope="module")
