@@ -34,7 +34,7 @@ def methods():
 
 def look_ahead(cls):
     """Say whether a filter moves only when it knows the measurement."""
-    return "by its knobs" if isinstance(inspect.getattr_static(cls, "look_ahead"), property) else "yes" if cls.look_ahead else "no"
+    return "by its parameters" if isinstance(inspect.getattr_static(cls, "look_ahead"), property) else "yes" if cls.look_ahead else "no"
 
 
 def choice():
@@ -53,16 +53,16 @@ def choice():
 def page(name, cls):
     """Return the text of a method's own page."""
     method = inspect.getdoc(inspect.getmodule(cls))
-    about, found = inspect.getdoc(cls).partition("\nAttributes:\n")[0], knobs(cls)
+    about, found = inspect.getdoc(cls).partition("\nAttributes:\n")[0], parameters(cls)
     defaults = {field.name: field.default for field in dataclasses.fields(cls)}
-    table = "".join(f"| `{knob}` | {' '.join(text.split())} | {shown(defaults[knob])} |\n" for knob, text in found.items())
-    table = f"\n| knob | meaning | default |\n| --- | --- | --- |\n{table}" if found else ""
+    table = "".join(f"| `{parameter}` | {' '.join(text.split())} | {shown(defaults[parameter])} |\n" for parameter, text in found.items())
+    table = f"\n| parameter | meaning | default |\n| --- | --- | --- |\n{table}" if found else ""
     guide = f"\nNeeds: {cls.guide.needs}. Cost of a step: {cls.guide.cost}. Use: {cls.guide.use}.\n" if issubclass(cls, mo.Filter) else ""
-    return f"# `{name}`\n\n{method}\n\n## Knobs\n\n{about.strip()}\n{table}{guide}"
+    return f"# `{name}`\n\n{method}\n\n## Parameters\n\n{about.strip()}\n{table}{guide}"
 
 
-def knobs(cls):
-    """Return what a method says of its knobs, by name: its own first, then those of the classes that it derives from."""
+def parameters(cls):
+    """Return what a method says of its parameters, by name: its own first, then those of the classes that it derives from."""
     fields, found = {field.name for field in dataclasses.fields(cls)}, {}
     for part in cls.__mro__:
         _, _, told = inspect.cleandoc(vars(part).get("__doc__") or "").partition("\nAttributes:\n")

@@ -33,8 +33,8 @@ class SkeletonFilter(TwoStageFilter):
     )
     n: int = static()
 
-    def check_knobs(self) -> None:
-        """Refuse values that a knob cannot have."""
+    def check_parameters(self) -> None:
+        """Refuse values that a parameter cannot have."""
         checks.positive_integer("SkeletonFilter n", self.n)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:

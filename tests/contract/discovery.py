@@ -16,9 +16,9 @@ from motes.smoothers.interface import Smoother
 
 SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
 
-KNOBS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (33, 31),
+PARAMETERS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (33, 31),
          "function": lambda before, after, u, t: after, "size": 2, "rule": Cubature()}  # fmt: skip
-"""Values for knobs that have no default; a new filter whose knob is not listed here says so by failing."""
+"""Values for parameters that have no default; a new filter whose parameter is not listed here says so by failing."""
 
 
 def _modules():
@@ -52,10 +52,10 @@ def smoother_classes():
 
 
 def example(cls, **changes):
-    """One filter or smoother of a class, with the required knobs filled in."""
+    """One filter or smoother of a class, with the required parameters filled in."""
     needed = [f.name for f in dataclasses.fields(cls) if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING]
-    knobs = {name: KNOBS[name] for name in needed}
-    return cls(**{**knobs, **changes})
+    parameters = {name: PARAMETERS[name] for name in needed}
+    return cls(**{**parameters, **changes})
 
 
 def kind_of(filter):

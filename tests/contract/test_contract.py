@@ -6,7 +6,7 @@ from functools import lru_cache
 import jax
 import numpy as np
 import pytest
-from discovery import KNOBS, example, examples, filter_classes, first_of_kinds, smoother_classes
+from discovery import PARAMETERS, example, examples, filter_classes, first_of_kinds, smoother_classes
 
 import motes as mo
 from motes.core.record import values
@@ -26,7 +26,7 @@ BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "cut": KINDS, "vmapped": 
           "smallest": KINDS, "eager": FEW, "derivative": FEW}  # fmt: skip
 """Filters that are asked a rule by day, all others being asked by night; of rules not named here, those of `CLASSES`."""
 ONE_STATE = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,), "size": 1}
-"""Knobs in place of those for two states."""
+"""Parameters in place of those for two states."""
 
 
 def questions():
@@ -50,7 +50,7 @@ def session(filter, precision):
 
 
 def on_one_state(filter):
-    """The same filter of one state, where its knobs are for two."""
+    """The same filter of one state, where its parameters are for two."""
     return example(type(filter), **{name: value for name, value in ONE_STATE.items() if name in values(filter)})
 
 
@@ -96,7 +96,7 @@ def test_run_in_chunks_is_the_whole_run():
     assert np.array_equal(mo.joined(pieces).mean, asked_of.whole.mean)
 
 
-@pytest.mark.parametrize("filter", [mo.KalmanFilter(), mo.ParticleFilter(n=KNOBS["n"])], ids=lambda filter: type(filter).__name__)
+@pytest.mark.parametrize("filter", [mo.KalmanFilter(), mo.ParticleFilter(n=PARAMETERS["n"])], ids=lambda filter: type(filter).__name__)
 def test_run_and_stream_raise_on_collapse(filter):
     known = session(filter, "float32")
     ys = known.ys.copy()

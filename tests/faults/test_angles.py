@@ -41,7 +41,7 @@ WITHOUT_ANGLES_IN_THE_WAY = {
     "PaRIS": mo.smoothers.PaRIS(n=60, function=lambda before, after, u, t: after[:1], size=1),
     "ParticleFilter, transport": mo.ParticleFilter(n=60, scheme=mo.resampling.EntropicTransport()),
 }  # fmt: skip
-"""In place of those of the contract suite whose knobs are for another model, and some more that average."""
+"""In place of those of the contract suite whose parameters are for another model, and some more that average."""
 LINEAR = ("KalmanFilter", "SquareRootKalmanFilter")
 
 

@@ -36,11 +36,11 @@ BY_DAY = {"KalmanFilter", "UnscentedKalmanFilter", "MarginalizedParticleFilter",
 
 @pytest.mark.parametrize("name", each(list(GATED), set(GATED) - BY_DAY))
 def test_a_wild_fix_is_left_out_and_counted(name):
-    knobs = {"nonlinear": ("a",)} if name == "KalmanParticleKernelFilter" else {}
-    got = mo.run(0, discovery.example(GATED[name], gate=0.9999, **knobs), MODEL, WILD)
+    parameters = {"nonlinear": ("a",)} if name == "KalmanParticleKernelFilter" else {}
+    got = mo.run(0, discovery.example(GATED[name], gate=0.9999, **parameters), MODEL, WILD)
     blank = WILD.copy()
     blank[6] = np.nan
-    without = mo.run(0, discovery.example(GATED[name], **knobs), MODEL, blank)
+    without = mo.run(0, discovery.example(GATED[name], **parameters), MODEL, blank)
     assert np.asarray(got.info.gated).tolist() == [0] * 6 + [1] + [0] * 5
     np.testing.assert_allclose(got.mean, without.mean, rtol=1e-5)
     np.testing.assert_allclose(got.log_likelihood, without.log_likelihood, rtol=1e-5)

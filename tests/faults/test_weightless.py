@@ -86,9 +86,9 @@ def means(filter):
 @pytest.mark.parametrize("name", each(sorted(filter_classes()), shares_stages))
 def test_a_void_in_reach_leaves_moments_alone(name):
     """16 percent of the prior lie in it."""
-    knobs = {"KalmanParticleKernelFilter": {"nonlinear": ("a", "b"), "every": 1, "n": 2000}}.get(name, {})
+    parameters = {"KalmanParticleKernelFilter": {"nonlinear": ("a", "b"), "every": 1, "n": 2000}}.get(name, {})
     try:
-        found = means(example(filter_classes()[name], **knobs))
+        found = means(example(filter_classes()[name], **parameters))
     except mo.CollapseError:
         assert name in ONE_LAW
         return

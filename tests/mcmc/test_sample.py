@@ -163,7 +163,7 @@ def test_refusals(changes, message):
         mo.sample(0, **given)
 
 
-KNOBS = [
+PARAMETERS = [
     (lambda: mcmc.Cycle(mcmc.HMC()), "Cycle kernels: expected a list of kernels"),
     (lambda: mcmc.Block("a", 3), "Block kernel: expected a kernel"),
     (lambda: mcmc.raftery_lewis(np.arange(150.0), 0.5, error=0.1), "raftery_lewis draws: expected at least 200 draws"),
@@ -189,7 +189,7 @@ KNOBS = [
 ]
 
 
-@pytest.mark.parametrize("make, message", KNOBS, ids=[message[:30] for _, message in KNOBS])
+@pytest.mark.parametrize("make, message", PARAMETERS, ids=[message[:30] for _, message in PARAMETERS])
 def test_refused_knobs(make, message):
     with pytest.raises(MotesError, match=message):
         make()

@@ -110,8 +110,8 @@ def test_metropolis_moves_particles_and_only_where_there_is_noise():
     def different(Q):
         model = mo.StateSpaceModel(slow().initial, mo.LinearGaussian(np.eye(2), Q), slow().sensor)
         ys = np.array([[0.3], [0.5]])
-        knobs = {"n": 400, "policy": mo.resampling.Always()}
-        filters = mo.ParticleFilter(**knobs), mo.RegularizedParticleFilter(**knobs, form="metropolis")
+        parameters = {"n": 400, "policy": mo.resampling.Always()}
+        filters = mo.ParticleFilter(**parameters), mo.RegularizedParticleFilter(**parameters, form="metropolis")
         plain, moved = (mo.run(0, filter, model, ys).state.particles for filter in filters)
         return float(np.mean(np.any(np.asarray(plain) != np.asarray(moved), axis=0)))
 
@@ -127,9 +127,9 @@ def test_a_marginalized_filter_takes_it_too(double):
     )  # fmt: skip
     ys = mo.simulate(2, model, 12)[1]
     exact = mo.run(0, mo.KalmanFilter(), model, ys)
-    knobs = {"n": 4000, "linear": ("x1",), "policy": mo.resampling.ESS(0.9)}
-    plain = mo.run(1, mo.MarginalizedParticleFilter(**knobs), model, ys)
-    smooth = mo.run(1, mo.MarginalizedParticleFilter(**knobs, regularization=mo.resampling.Regularization(shrink=True)), model, ys)
+    parameters = {"n": 4000, "linear": ("x1",), "policy": mo.resampling.ESS(0.9)}
+    plain = mo.run(1, mo.MarginalizedParticleFilter(**parameters), model, ys)
+    smooth = mo.run(1, mo.MarginalizedParticleFilter(**parameters, regularization=mo.resampling.Regularization(shrink=True)), model, ys)
     assert len(np.unique(np.asarray(plain.state.particles))) < 0.7 * 4000
     assert len(np.unique(np.asarray(smooth.state.particles))) == 4000
     assert np.all(np.abs(smooth.mean - exact.mean)[-1] < 0.1 * np.sqrt(np.diag(np.asarray(exact.cov)[-1])))

@@ -27,11 +27,11 @@ def derivatives(filter, runs):
 def test_derivative_of_the_likelihood_is_unbiased(look_ahead, double):
     """E[dZ] = dZ within 4 standard errors over 4000 runs of few particles; without the wrapper it is not."""
     kind = mo.AuxiliaryParticleFilter if look_ahead else mo.ParticleFilter
-    knobs = {"n": 40, "policy": mo.resampling.Always()} | ({"proposal": mo.OptimalProposal()} if look_ahead else {})
+    parameters = {"n": 40, "policy": mo.resampling.Always()} | ({"proposal": mo.OptimalProposal()} if look_ahead else {})
     exact = float(jax.grad(lambda a: mo.run(0, mo.KalmanFilter(), model(a), YS).log_likelihood)(0.8))
     schemes = {True: mo.resampling.StopGradient(mo.resampling.Multinomial())} | ({} if look_ahead else {False: mo.resampling.Multinomial()})
     for kept, scheme in schemes.items():
-        ratio, slopes = derivatives(kind(scheme=scheme, **knobs), 4000)
+        ratio, slopes = derivatives(kind(scheme=scheme, **parameters), 4000)
         off = ratio * (slopes - exact)
         assert (abs(off.mean()) < 4 * off.std(ddof=1) / np.sqrt(len(off))) == kept
 

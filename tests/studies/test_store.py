@@ -115,7 +115,7 @@ def test_more_runs_and_filters_come_to_a_store(store, finished):
 OTHERS = {
     "steps": (dict(steps=8), "another steps (7 there, 8 here)"),
     "seed": (dict(seed=4), "another seed (3 there, 4 here)"),
-    "knobs": (
+    "parameters": (
         dict(filters={"first": mo.ParticleFilter(n=41), "second": experiment().filters["second"]}), "another filter 'first'"),
     "blocks": (dict(blocks={"a": "a"}), "another blocks"),
     "inputs": (dict(inputs=np.arange(7.0)), "inputs"),

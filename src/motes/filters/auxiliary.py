@@ -55,8 +55,8 @@ class AuxiliaryParticleFilter(LookAheadFilter):
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: n is not a positive whole number, or the proposal has the wrong kind.

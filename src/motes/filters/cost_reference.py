@@ -63,8 +63,8 @@ class CostReferenceParticleFilter(LookAheadFilter):
     scheme: Scheme = Systematic()
     has_evidence = False
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: a number is out of range, or a word is unknown.

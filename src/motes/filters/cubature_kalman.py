@@ -1,7 +1,7 @@
 """Cubature Kalman filter (Arasaratnam, Haykin 2009): moments by the third-degree spherical-radial rule, 2 x points of equal weight.
 
 Predict: mean and covariance of the dynamics over the points, plus noise. Correct: Kalman gain from the covariances of state and
-measurement over the points of the prediction. No knobs, and no covariance that is not one.
+measurement over the points of the prediction. No parameters, and no covariance that is not one.
 """
 
 from motes.core.record import record
@@ -17,7 +17,7 @@ class CubatureKalmanFilter(OneGaussian, TwoStageFilter):
     guide = Guide(
         needs="mean functions, noises with covariances",
         cost="x^3, and 2 x + 1 calls of each function",
-        use="as UnscentedKalmanFilter, without knobs to set",
+        use="as UnscentedKalmanFilter, without parameters to set",
     )
 
     @property

@@ -47,8 +47,8 @@ class EnsembleKalmanFilter(Gated, TwoStageFilter):
     form: str = static(default="deterministic")
     inflation: float = 1.0
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: a number is not positive, or the form is unknown.

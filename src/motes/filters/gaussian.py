@@ -26,8 +26,8 @@ class OneGaussian(Gated):
     weighs = False
     subtracts = True
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: the rule is none, or has a parameter that it cannot have.

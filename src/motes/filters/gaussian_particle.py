@@ -45,8 +45,8 @@ class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
     n: int = static()
     redraw: bool = static(default=True)
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: n is not a positive whole number.

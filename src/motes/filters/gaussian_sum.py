@@ -59,8 +59,8 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: a number is not a positive whole one, or a word is unknown.

@@ -49,8 +49,8 @@ class InteractingMultipleModel(Gated, TwoStageFilter):
 
     rule: Rule = Taylor()
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: the rule is none, or has a parameter that it cannot have.

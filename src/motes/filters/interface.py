@@ -1,4 +1,4 @@
-"""The contract of a filter: a frozen record of its own knobs that maps a law to a law. The model is an argument, never a field."""
+"""The contract of a filter: a frozen record of its own parameters that maps a law to a law. The model is an argument, never a field."""
 
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple
@@ -60,15 +60,15 @@ class Filter(ABC):
     """What it needs, costs and is good for."""
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
-            MotesError: a knob has a value it cannot have; the message names it.
+            MotesError: a parameter has a value it cannot have; the message names it.
         """
         checks.option(f"{type(self).__name__} on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
         if self.gate is not None and not (isinstance(self.gate, float) and 0 < self.gate < 1):
             checks.refuse(f"{type(self).__name__} gate", "a probability between 0 and 1, such as 0.9999, or None", repr(self.gate))
-        self.check_knobs()
+        self.check_parameters()
 
     @property
     def loses_derivatives(self) -> bool:
@@ -84,8 +84,8 @@ class Filter(ABC):
         told = {"has_evidence": self.has_evidence, "weighs": self.weighs, "subtracts": self.subtracts}
         return told | {"particles": particles, "descends": descends}
 
-    def check_knobs(self) -> None:  # noqa: B027 (most filters have nothing of their own to check)
-        """Refuse values of the filter's own knobs."""
+    def check_parameters(self) -> None:  # noqa: B027 (most filters have nothing of their own to check)
+        """Refuse values of the filter's own parameters."""
 
     def prepare(self, model: Any, u: Any) -> Any:
         """Check that the model has what this filter needs and bring it into the filter's form: once for each compiled program.

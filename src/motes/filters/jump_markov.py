@@ -58,8 +58,8 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     sampled: tuple[str | int, ...] = static(default=())
     rule: Rule = Taylor()
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: n is not a positive whole number, or the rule is none or has a parameter that it cannot have.

@@ -97,8 +97,8 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
     scheme: Scheme = Systematic()
     policy: Policy = Entropy(0.5)
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: a number is out of range, or a word is unknown.

@@ -42,7 +42,7 @@ class Ahead(NamedTuple):
 class LookAheadFilter(Filter):
     """A filter that moves knowing the next measurement. Subclasses write `init`, `update` and `ahead`.
 
-    One that does so by its knobs makes `look_ahead` a property, and derives from `TwoStageFilter` too, whose step is taken elsewhere.
+    One that does so by its parameters makes `look_ahead` a property, and derives from `TwoStageFilter` too, whose step is taken elsewhere.
     """
 
     look_ahead: ClassVar[bool] = True

@@ -62,11 +62,11 @@ class MarginalizedParticleFilter(Gated, TwoStageFilter):
     policy: Policy = ESS(0.5)
     regularization: Regularization | None = None
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
-            MotesError: n is not a positive whole number, or another knob has the wrong kind.
+            MotesError: n is not a positive whole number, or another parameter has the wrong kind.
         """
         checks.positive_integer("MarginalizedParticleFilter n", self.n)
         if self.linear is not None:

@@ -49,11 +49,11 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
-            MotesError: n is not a positive whole number, or another knob has the wrong kind.
+            MotesError: n is not a positive whole number, or another parameter has the wrong kind.
         """
         checks.positive_integer("ParticleFilter n", self.n)
         _ = self._moves

@@ -54,7 +54,7 @@ class PointMassFilter(TwoStageFilter):
     upper: tuple[float, ...] = static()
     nodes: tuple[int, ...] = static()
 
-    def check_knobs(self) -> None:
+    def check_parameters(self) -> None:
         """Check the grid.
 
         Raises:

@@ -56,8 +56,8 @@ class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
     scheme: Scheme = Systematic()
     policy: Policy = ESS(0.5)
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: n is not a positive whole number, the form is unknown, or shrinkage is to be accepted or refused.

@@ -113,9 +113,9 @@ def canonical_parts(filter: Filter, model: Model, u: Inputs, y: Any) -> tuple[Fi
     u, y = jax.tree.map(shape_of, (u, y))
     model = canonical(model, u, y)
     x = jax.ShapeDtypeStruct((model.size,), model.dtype)
-    # a conditional among the knobs is a proposal: its functions see the pair of inputs and measurement
-    proposals = {name: canonical_conditional(f"{type(filter).__name__} {name}", knob, x, (u, y), x)
-                 for name, knob in values(filter).items() if isinstance(knob, Conditional)}  # fmt: skip
+    # a conditional among the parameters is a proposal: its functions see the pair of inputs and measurement
+    proposals = {name: canonical_conditional(f"{type(filter).__name__} {name}", parameter, x, (u, y), x)
+                 for name, parameter in values(filter).items() if isinstance(parameter, Conditional)}  # fmt: skip
     return replace(filter, **proposals) if proposals else filter, model
 
 

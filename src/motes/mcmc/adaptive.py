@@ -59,7 +59,7 @@ class Adaptive(Wrapper):
     target: float | None = static(default=None)
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: naming the one that cannot be used.

@@ -169,7 +169,7 @@ class Repeat(Wrapper):
     times: int = static()
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: times is no positive whole number, or kernel no kernel.

@@ -63,7 +63,7 @@ class GeneralizedSampler(Kernel):
     start: int = static(default=0)
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: naming the one that cannot be used.

@@ -27,7 +27,7 @@ class Gibbs(Kernel):
     scan: str = static(default="systematic")
 
     def __init__(self, draws: Mapping[Any, Draw], scan: str = "systematic"):
-        """Check the knobs.
+        """Check the parameters.
 
         Args:
             draws: part to function.

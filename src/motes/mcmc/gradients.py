@@ -103,7 +103,7 @@ class HMC(GradientKernel):
     num_steps: int = static(default=10)
 
     def __init__(self, num_steps: int = 10, step_size: jax.Array | float = 0.1, factor: jax.Array | None = None):
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: the step size is not positive, or num_steps no positive whole number.
@@ -136,7 +136,7 @@ class NUTS(GradientKernel):
     max_tree_depth: int = static(default=10)
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: the step size is not positive, or max_tree_depth no positive whole number.

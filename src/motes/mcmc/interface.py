@@ -1,7 +1,7 @@
 """The contract of Markov chain kernels: one step of a chain that leaves a density as it is (paper 004, section 2.1).
 
 A position is a tree of arrays: one array, or a dictionary of named ones. A log density is a function of a position, known up to a
-constant. The density is an argument, never a field: a kernel is a frozen record of its own knobs.
+constant. The density is an argument, never a field: a kernel is a frozen record of its own parameters.
 """
 
 from abc import ABC, abstractmethod

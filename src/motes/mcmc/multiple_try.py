@@ -36,7 +36,7 @@ class MultipleTry(Kernel):
     weight: str = static(default="importance")
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: naming the one that cannot be used.

@@ -70,7 +70,7 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
         prior: law with `sample` and `log_prob`.
         log_likelihood: function of one point `(x,)`.
         n: particles.
-        how: kernel and knobs, such as `Tempering(mo.mcmc.RandomWalkMetropolis())`.
+        how: kernel and parameters, such as `Tempering(mo.mcmc.RandomWalkMetropolis())`.
 
     Raises:
         MotesError: an argument cannot be used, or no particle of the prior has any likelihood.

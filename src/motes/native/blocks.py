@@ -84,20 +84,20 @@ def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.A
         return None
     threshold = getattr(policy, "share", getattr(policy, "threshold", 0.0))
     uniform = random.uniform(key, (), jnp.float32)
-    knobs = jnp.stack([uniform, jnp.asarray(threshold, jnp.float32), jnp.full((), codes[type(policy)], jnp.float32)])
+    parameters = jnp.stack([uniform, jnp.asarray(threshold, jnp.float32), jnp.full((), codes[type(policy)], jnp.float32)])
     n = log_weights.shape[0]
     shapes = (jax.ShapeDtypeStruct((n,), jnp.int32), jax.ShapeDtypeStruct((n,), jnp.float32))
 
-    def native(log_weights: jax.Array, knobs: jax.Array, policy: Policy) -> tuple[jax.Array, jax.Array]:
-        return tuple(_call("ancestors", shapes, log_weights, knobs))
+    def native(log_weights: jax.Array, parameters: jax.Array, policy: Policy) -> tuple[jax.Array, jax.Array]:
+        return tuple(_call("ancestors", shapes, log_weights, parameters))
 
-    def pure(log_weights: jax.Array, knobs: jax.Array, policy: Policy) -> tuple[jax.Array, jax.Array]:
+    def pure(log_weights: jax.Array, parameters: jax.Array, policy: Policy) -> tuple[jax.Array, jax.Array]:
         needed = policy.needed(log_weights)
-        drawn = scheme.at(knobs[0], log_weights, n)
+        drawn = scheme.at(parameters[0], log_weights, n)
         equal = logspace.uniform_weights(n, log_weights.dtype)
         return jnp.where(needed, drawn, jnp.arange(n, dtype=jnp.int32)), jnp.where(needed, equal, log_weights)
 
-    return differentiable(native, pure)(log_weights, knobs, policy)
+    return differentiable(native, pure)(log_weights, parameters, policy)
 
 
 def resampled(key: jax.Array, scheme: Scheme, policy: Policy, law: Any, log_score: jax.Array | None) -> Any:

@@ -37,7 +37,7 @@ class ParticleGibbs(DrawsPaths):
     scheme: Scheme = Multinomial()
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: n is less than 2.

@@ -44,7 +44,7 @@ class RaoBlackwellizedParticleGibbs(DrawsPaths):
     linear: tuple[str | int, ...] | None = static(default=None)
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: n is not a positive whole number.

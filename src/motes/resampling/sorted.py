@@ -24,7 +24,7 @@ class Sorted(Scheme):
     by: int = static(default=0)
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: the scheme is none.

@@ -104,7 +104,7 @@ class CommonKernel(Kernels):
         factor = linalg.cholesky(whole)
         shares = linalg.solve_lower(factor, linalg.transpose(linalg.solve_lower(factor, law.parts.covariance)))
         least = jnp.min(linalg.eigen(linalg.symmetric(shares))[0])
-        cap, guard = (jnp.square(jnp.asarray(knob, whole.dtype)) for knob in (self.cap, self.guard))
+        cap, guard = (jnp.square(jnp.asarray(parameter, whole.dtype)) for parameter in (self.cap, self.guard))
         common = jnp.clip(least, 0, cap) * whole
         small = least >= guard
 

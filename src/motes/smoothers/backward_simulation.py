@@ -35,13 +35,13 @@ class BackwardSimulationSmoother(Smoother):
     lost = ("states that the dynamics alone led to", "The filter moved them off what dynamics without noise in some direction allow "
             "(a kernel, an ensemble): smooth a ParticleFilter's clouds.")  # fmt: skip
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: n is not a positive whole number, or parents is no rule for drawing them.
         """
-        super().check_knobs()
+        super().check_parameters()
         if not isinstance(self.parents, Parents):
             checks.refuse("BackwardSimulationSmoother parents", "a rule such as ExactParents()", type(self.parents).__name__)
 

@@ -28,8 +28,8 @@ class GenealogySmoother(Smoother):
 
     lag: int | None = static(default=None)
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: the lag is not a positive whole number.

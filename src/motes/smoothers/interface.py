@@ -1,4 +1,4 @@
-"""The contract of a smoother: a frozen record of its own knobs that turns a filtered history into laws given all measurements."""
+"""The contract of a smoother: a frozen record of its own parameters that turns a filtered history into laws given all measurements."""
 
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple
@@ -78,15 +78,15 @@ class Smoother(ABC):
     lost: ClassVar[tuple[str, str] | None] = None
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
-            MotesError: a knob has a value it cannot have; the message names it.
+            MotesError: a parameter has a value it cannot have; the message names it.
         """
-        self.check_knobs()
+        self.check_parameters()
 
-    def check_knobs(self) -> None:
-        """Refuse values of the smoother's own knobs; n, of smoothers that draw, is the number of what they draw.
+    def check_parameters(self) -> None:
+        """Refuse values of the smoother's own parameters; n, of smoothers that draw, is the number of what they draw.
 
         Raises:
             MotesError: n is not a positive whole number.

@@ -57,13 +57,13 @@ class MixtureSmoother(Smoother):
     lost = ("states that a component leads to", "Dynamics without noise in some direction lead from drawn states to others than were kept: "
             "use more particles, or give it a little noise.")  # fmt: skip
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: n is not a positive whole number, or the rule is none or has a parameter that it cannot have.
         """
-        Smoother.check_knobs(self)
+        Smoother.check_parameters(self)
         check_rule("MixtureSmoother", self.rule)
 
     def prepare(self, model: Any, history: History, u: Any) -> JumpMarkovModel:

@@ -123,7 +123,7 @@ class RejectedParents(Parents):
     trials: int = static(default=32)
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: trials is not a positive whole number.
@@ -179,7 +179,7 @@ class SteppedParents(Parents):
     steps: int = static(default=4)
 
     def __post_init__(self) -> None:
-        """Check the knobs.
+        """Check the parameters.
 
         Raises:
             MotesError: steps is not a positive whole number.

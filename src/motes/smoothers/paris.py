@@ -102,8 +102,8 @@ class PaRIS(Filter):
     policy: Policy = ESS(0.5)
     look_ahead = True
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: a number is not a positive whole one, or function is none.

@@ -47,8 +47,8 @@ class RauchTungStriebelSmoother(Smoother):
 
     rule: Rule = Taylor()
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: the rule is none, or has a parameter that it cannot have.

@@ -53,7 +53,7 @@ def smooth(
     elif model.correlated:
         checks.refuse("smooth ys", "the measurements of the run (its noises are correlated)", "None")
     known = canonical(model, jax.tree.map(one_of, inputs), history.last.y)
-    # the label says with which knobs, and would make each filter compile anew
+    # the label says with which parameters, and would make each filter compile anew
     found = _smooth(random.key_or_data(key), smoother, known, replace(history, label=""), ys, inputs, Beside((smoother, known)))
     if smoother.lost is not None and checks.is_concrete(found.mean):
         _ask_found(smoother, found.mean, history)

@@ -41,13 +41,13 @@ class TwoFilterSmoother(Smoother):
     lost = ("dynamics with noise in every direction", "Without it points of the second filter lead to none of the next step: "
             "use BackwardSimulationSmoother, or run a KalmanFilter where the model is linear.")  # fmt: skip
 
-    def check_knobs(self) -> None:
-        """Check the knobs.
+    def check_parameters(self) -> None:
+        """Check the parameters.
 
         Raises:
             MotesError: n is not a positive whole number, or the inflation is below 1.
         """
-        super().check_knobs()
+        super().check_parameters()
         if checks.is_concrete(self.inflation) and not self.inflation >= 1:
             checks.refuse("TwoFilterSmoother inflation", "a factor of at least 1", self.inflation)
 
