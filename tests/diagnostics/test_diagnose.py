@@ -74,7 +74,7 @@ def test_claims_that_are_too_small_or_too_large():
         history = mo.run(1, mo.KalmanFilter(), model(q=scale, r=0.5 * scale), YS)
         assert name in mo.diagnose(history, XS)
     bold = mo.diagnose(mo.run(1, mo.KalmanFilter(), model(q=0.1, r=0.05), YS))
-    assert "surprise" in bold and "more particles" not in str(bold)
+    assert "large innovations" in bold and "more particles" not in str(bold)
     for filter in (mo.KalmanFilter(), mo.ParticleFilter(n=500)):
         timid = mo.diagnose(mo.run(1, filter, model(q=8.0, r=4.0), YS))
         assert "small innovations" in timid and timid.trusted

@@ -51,7 +51,7 @@ def test_every_filter_has_the_alarm(name):
     filter = filters()[name]
     right = mo.run(0, filter, TRUE, YS)
     assert not right.info.alarm.any()
-    assert abs(float(jnp.sum(right.info.surprise) / jnp.sum(right.info.freedom)) - 1) < 0.4
+    assert abs(float(jnp.sum(right.info.nis) / jnp.sum(right.info.freedom)) - 1) < 0.4
     with pytest.warns(mo.MotesWarning, match="alarm"):
         wrong = mo.run(0, filter, FALSE, YS)
     first = [int(np.argmax(np.asarray(h.info.alarm))) for h in (wrong, mo.run(0, mo.KalmanFilter(), FALSE, YS))]
@@ -76,7 +76,7 @@ def test_stream_and_cuts_ring_alike(filter, tmp_path):
         if t == 20:
             stream.save(tmp_path / "stream.npz")
             stream = mo.Stream.load(tmp_path / "stream.npz", filter, FALSE)
-    for name in ("surprise", "freedom", "alarm", "gated"):
+    for name in ("nis", "freedom", "alarm", "gated"):
         wanted = np.asarray(getattr(whole.info, name))
         np.testing.assert_array_equal(np.concatenate([getattr(h.info, name) for h in (part, rest)]), wanted)
         np.testing.assert_array_equal([getattr(info, name) for info in infos], wanted)
@@ -119,7 +119,7 @@ def test_false_alarms(name):
     def planted(square, freedom):
         return jax.lax.scan(lambda total, now: alarm.advanced(total, *now), jnp.zeros(()), (square, freedom))[1]
 
-    assert int(jax.vmap(planted)(3 * info.surprise, info.freedom).sum()) > 100
+    assert int(jax.vmap(planted)(3 * info.nis, info.freedom).sum()) > 100
 
 
 def test_the_cumulative_sum_of_all_steps_at_once():
@@ -129,7 +129,7 @@ def test_the_cumulative_sum_of_all_steps_at_once():
         wrong = mo.run_in_parallel(FALSE, YS)
     with pytest.warns(mo.MotesWarning):
         scanned = mo.run(0, mo.KalmanFilter(), FALSE, YS)
-    np.testing.assert_allclose(wrong.info.surprise, scanned.info.surprise, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(wrong.info.nis, scanned.info.nis, rtol=1e-3, atol=1e-3)
     assert int(np.argmax(wrong.info.alarm)) == int(np.argmax(scanned.info.alarm))
 
 

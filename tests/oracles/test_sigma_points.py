@@ -215,7 +215,7 @@ def test_a_bank_of_one_mode_is_the_gaussian_filter_of_its_rule(bank, double):
         assert np.abs(np.asarray(getattr(one, field)) - np.asarray(getattr(many, field))).max() < 1e-10
     assert np.abs(np.asarray(one.info.log_evidence) - np.asarray(many.info.log_evidence)).max() < 1e-10
     if bank.rule == mo.gaussian.Cubature():  # by iterated slopes a single Gaussian tells the distance at the last of them
-        assert np.abs(np.asarray(one.info.surprise) - np.asarray(many.info.surprise)).max() < 1e-8
+        assert np.abs(np.asarray(one.info.nis) - np.asarray(many.info.nis)).max() < 1e-8
 
 
 def test_smoothers_of_one_gaussian_and_of_mixtures_agree_by_every_rule(double):

@@ -1,4 +1,4 @@
-"""Whether errors and surprises have the size that the filter claims (Bar-Shalom, Li, Kirubarajan 2001, section 5.4)."""
+"""Whether errors and innovations have the size that the filter claims (Bar-Shalom, Li, Kirubarajan 2001, section 5.4)."""
 
 from typing import Any, NamedTuple
 
@@ -67,7 +67,7 @@ def nis(history: History) -> jax.Array:
     """Normalized innovation squared of each step, `(t,)`: about the number of measured components if the model is right; 0 without any.
 
     Raises:
-        MotesError: the filter's law has weights (its surprise is no one number).
+        MotesError: the filter's law has weights (its innovation is no one number).
     """
     if hasattr(history.state, "log_weights"):
         checks.refuse("nis history", "a run of a Kalman filter of some kind", type(history.state).__name__, "mo.diagnose looks at any run.")

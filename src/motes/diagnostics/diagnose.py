@@ -14,9 +14,9 @@ from motes.filters import notices
 from motes.filters.history import History
 
 FAR = 12.5
-"""Nats below a perfect fit, five standard deviations: a best particle or a prediction this far off has been surprised."""
+"""Nats below a perfect fit, five standard deviations: a best particle or a prediction this far off has been missed."""
 IN_A_ROW = 3
-"""So many surprises one after the other are no outlier any more."""
+"""So many such misses one after the other are no outlier any more."""
 MILD = 0.5
 """Innovations so much smaller (squared) than was predicted of them are called small; noises with heavy tails seldom average so little."""
 SCARCE = 0.02
@@ -45,7 +45,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
         checks.refuse("diagnose history", "what mo.run gave", type(history).__name__)
     found = [*notices.notices(history), _scarce(history), _invalid(history), undeclared_angles(history)]
     if not notices.coarseness(history):  # whose errors have another cure than noise
-        found += _surprise(history)
+        found += _innovations(history)
     if "law" in history.kept:
         found += _laws(history)
     if truth is not None:
@@ -53,7 +53,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     return Diagnosis.of(found)
 
 
-def _surprise(history: History) -> list[Finding]:
+def _innovations(history: History) -> list[Finding]:
     gaps = np.asarray(history.info.gap, np.float64)
     usual = history.last.y.shape[0] / 2
     far = (gaps > FAR + usual) | np.asarray(history.info.collapsed)
@@ -66,15 +66,15 @@ def _surprise(history: History) -> list[Finding]:
                 f"standard deviations from {center}.")  # fmt: skip
         return [Finding("lost", text, "More process noise, a model that can move so, or more particles; start anew there.", True)]
     used = ~(np.asarray(history.info.collapsed) | (np.asarray(history.info.gated) > 0))
-    surprise, freedom = (np.asarray(each, np.float64)[used] for each in (history.info.surprise, history.info.freedom))
+    nis, freedom = (np.asarray(each, np.float64)[used] for each in (history.info.nis, history.info.freedom))
     degrees = int(freedom.sum())
     if degrees < 1:
         return []
-    ratio, band = surprise[freedom > 0].sum() / freedom.sum(), chi_square_band(degrees, 1, LEVEL)
+    ratio, band = nis[freedom > 0].sum() / freedom.sum(), chi_square_band(degrees, 1, LEVEL)
     text, most = f"innovations are {ratio:.2g} times as large (squared) as was predicted of them.", band.high / degrees
     if ratio > most:
         advice = f"Raise the noises, {'use more particles, ' * history.weighs}or look for what the model leaves out."
-        return [Finding("surprise", text, advice, ratio > 2 * most)]
+        return [Finding("large innovations", text, advice, ratio > 2 * most)]
     if ratio < min(MILD, band.low / degrees):
         return [Finding("small innovations", text, "Lower the noises of the dynamics, of the sensor, or of both.", False)]
     return []

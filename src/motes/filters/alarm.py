@@ -1,11 +1,11 @@
 """The alarm of a filter that lies: measurements are held against what the filter predicted of them.
 
-1. Surprise: the squared innovation in units of the predicted measurement's covariance. Of a cloud, mean and covariance are those of what
+1. Normalized innovation squared (NIS), in units of the covariance predicted of y. Of a cloud, mean and covariance are those of what
    some of its particles predict, and the cloud says itself how its squares scatter: they are brought to the mean and variance of a
    chi-square number of `freedom` degrees (Satterthwaite 1946), fewer than components of y where the prediction has heavy tails.
 2. Noises that are no Gaussians: the rank of the square among those of predicted draws, as the chi-square number of that rank.
 3. Cumulative sum (Page 1954) of the log likelihood ratio of an innovation covariance four times the claimed one,
-   C <- max(0, C + 3/8 surprise - freedom log 2); past a threshold the alarm rings and the sum starts anew.
+   C <- max(0, C + 3/8 nis - freedom log 2); past a threshold the alarm rings and the sum starts anew.
 """
 
 from typing import Any, NamedTuple
@@ -33,7 +33,7 @@ TOO_FEW = 4.0
 """Effective number of the particles asked, below which they do not stand for the cloud."""
 
 
-class Surprise(NamedTuple):
+class Innovation(NamedTuple):
     """How far a measurement lies from its prediction.
 
     Attributes:
@@ -70,9 +70,9 @@ def gain(square: jax.Array, freedom: jax.Array) -> jax.Array:
     return jnp.where(freedom > 0, jnp.where(ratio < MOST, ratio, MOST), 0)
 
 
-def unknown(dtype: Any) -> Surprise:
+def unknown(dtype: Any) -> Innovation:
     """Return what is said of a measurement without a prediction."""
-    return Surprise(jnp.zeros((), dtype), jnp.zeros((), dtype))
+    return Innovation(jnp.zeros((), dtype), jnp.zeros((), dtype))
 
 
 def some_of(n: int, most: int = MANY) -> slice:
@@ -100,8 +100,8 @@ def within(gate: float, square: jax.Array, freedom: jax.Array) -> jax.Array:
     return gammainc(0.5 * jnp.maximum(freedom, 1e-3), 0.5 * square) <= gate
 
 
-def of_cloud(key: jax.Array, sensor: Conditional, X: jax.Array, log_weights: jax.Array, y: jax.Array, u: Any, t: Any) -> Surprise:
-    """Surprise of y `(y,)` given weighted particles X `(x, m)` before they saw it.
+def of_cloud(key: jax.Array, sensor: Conditional, X: jax.Array, log_weights: jax.Array, y: jax.Array, u: Any, t: Any) -> Innovation:
+    """Normalized innovation squared of y `(y,)` given weighted particles X `(x, m)` before they saw it.
 
     Args:
         key: for sensors whose noise is drawn.
@@ -122,8 +122,8 @@ def of_cloud(key: jax.Array, sensor: Conditional, X: jax.Array, log_weights: jax
 
 def of_mixture(
     angles: tuple[int, ...], centers: jax.Array, covs: jax.Array, log_weights: jax.Array, y: jax.Array, drawn: bool = True
-) -> Surprise:
-    """Surprise of a measurement where m Gaussians are predicted of it.
+) -> Innovation:
+    """Normalized innovation squared of a measurement where m Gaussians are predicted of it.
 
     Args:
         angles: components of y that are angles in radians.
@@ -160,7 +160,7 @@ def of_mixture(
     square = jnp.minimum(square / (wider * (1 + share / count)), most)
     # a cloud so uneven that the particles asked have none of its weight predicts nothing: its starvation is told otherwise
     known = told.count > TOO_FEW if drawn else jnp.ones((), bool)
-    return Surprise(jnp.where(known, square, 0), jnp.where(known, freedom, 0))
+    return Innovation(jnp.where(known, square, 0), jnp.where(known, freedom, 0))
 
 
 class _Spread(NamedTuple):
@@ -190,8 +190,8 @@ def _spread(angles: tuple[int, ...], values: jax.Array, log_weights: jax.Array, 
     return _Spread(off, weights / total, total**2 / sums[-1, -2], middle, sums[:-2, :-2] / total - middle[:, None] * middle)
 
 
-def _ranked(sensor: Conditional, draws: jax.Array, log_weights: jax.Array, y: jax.Array) -> Surprise:
-    """Surprise of y among weighted draws `(y, m)` of what was predicted."""
+def _ranked(sensor: Conditional, draws: jax.Array, log_weights: jax.Array, y: jax.Array) -> Innovation:
+    """Normalized innovation squared of y among weighted draws `(y, m)` of what was predicted."""
     size, count = draws.shape
     seen = ~jnp.isnan(y)
     told = _spread(sensor.angles, draws, log_weights, y, seen)
@@ -202,7 +202,7 @@ def _ranked(sensor: Conditional, draws: jax.Array, log_weights: jax.Array, y: ja
     table = np.stack([2 * gammaincinv(degrees / 2, ranks) if degrees else np.zeros(count + 1) for degrees in range(size + 1)])
     measured = jnp.sum(seen)
     square = jnp.asarray(table, y.dtype)[measured, jnp.clip(jnp.round(rank * count), 0, count).astype(jnp.int32)]
-    return Surprise(square, measured.astype(y.dtype))
+    return Innovation(square, measured.astype(y.dtype))
 
 
 def _apart(tree: Any) -> Any:

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 
 from motes.core import checks
 from motes.core.record import record, static
-from motes.filters.info import Info, surprised
+from motes.filters.info import Info, with_innovation
 from motes.filters.interface import Guide
-from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_surprise
+from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_innovation
 from motes.filters.needs import as_particle_model
 from motes.filters.proposals import Proposal, as_proposal
 from motes.filters.sharp import ask_noise, conditions_exactly, first_weighed
@@ -104,7 +104,7 @@ class AuxiliaryParticleFilter(LookAheadFilter):
         score = _told(self._moves.score(model, state.particles, y, u, t))
         parents = resample(resample_key, self.scheme, self.policy, state, score)
         after, info = guided(noise_key, self._moves, model, parents, y, u, t)
-        info = surprised(info, unguided_surprise(noise_key, model, state, y, u, t))
+        info = with_innovation(info, unguided_innovation(noise_key, model, state, y, u, t))
         return Ahead(after, info, lambda: unguided(noise_key, model, resample(resample_key, self.scheme, self.policy, state), u, t))
 
 

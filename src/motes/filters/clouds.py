@@ -7,7 +7,7 @@ import jax
 
 from motes.core.record import replace
 from motes.filters import alarm
-from motes.filters.info import Info, info_of, surprised, weigh
+from motes.filters.info import Info, info_of, weigh, with_innovation
 from motes.gaussian.modes import expected, measured
 from motes.gaussian.rule import Rule
 from motes.laws.cloud import Cloud
@@ -61,7 +61,7 @@ def by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: jax.Arra
 
     after, info = update_weights(cloud, likelihood_of)
     some = alarm.some_of(cloud.log_weights.shape[0])
-    return after, surprised(info, alarm.of_cloud(key, sensor, cloud.particles[:, some], cloud.log_weights[some], y, u, t))
+    return after, with_innovation(info, alarm.of_cloud(key, sensor, cloud.particles[:, some], cloud.log_weights[some], y, u, t))
 
 
 def weigh_modes(rule: Rule, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:
@@ -71,4 +71,4 @@ def weigh_modes(rule: Rule, model: JumpMarkovModel, state: ModeMixture, y: jax.A
     few, log_weights = alarm.few_of(state.log_weights.reshape(model.count, -1))
     told = expected(rule, model, state, few, u, t)
     found = alarm.of_mixture(model.models[0].sensor.angles, told.center, told.covariance, log_weights.reshape(-1), y, drawn=False)
-    return replace(state, parts=done.law, log_weights=weights), surprised(info, found)
+    return replace(state, parts=done.law, log_weights=weights), with_innovation(info, found)

@@ -14,7 +14,7 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.gated import Gated
-from motes.filters.info import Info, surprised, weigh
+from motes.filters.info import Info, weigh, with_innovation
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.look_ahead import Ahead, LookAheadFilter
 from motes.filters.needs import as_particle_model
@@ -89,7 +89,7 @@ class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
         likelihood, ceiling = model.sensor.log_prob(y, X, u, t), model.sensor.ceiling(y, X, u, t)
         weights, info = weigh(logspace.uniform_weights(self.n, X.dtype), likelihood, ceiling)
         some = X[:, alarm.some_of(self.n)]
-        info = surprised(info, alarm.of_cloud(key, model.sensor, some, jnp.zeros_like(some[0]), y, u, t))
+        info = with_innovation(info, alarm.of_cloud(key, model.sensor, some, jnp.zeros_like(some[0]), y, u, t))
         # after a collapse the next particles are drawn anew, all of equal weight
         return _fitted(model, weights, X), replace(info, ess=jnp.where(info.collapsed, self.n, info.ess))
 

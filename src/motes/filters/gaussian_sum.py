@@ -16,7 +16,7 @@ from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.gated import Gated
-from motes.filters.info import Info, surprised, weigh
+from motes.filters.info import Info, weigh, with_innovation
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.needs import as_particle_model
 from motes.filters.sharp import ask_noise
@@ -156,7 +156,7 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
         # for the alarm, a few particles of each mixand
         some = points[:, alarm.some_of(self.n, -(-alarm.FEWEST // points.shape[2]))]
         shares = jnp.broadcast_to(state.log_weights, some.shape[1:]).reshape(-1)
-        info = surprised(info, alarm.of_cloud(key, model.sensor, some.reshape(some.shape[0], -1), shares, y, u, t))
+        info = with_innovation(info, alarm.of_cloud(key, model.sensor, some.reshape(some.shape[0], -1), shares, y, u, t))
         joint = joint.reshape(points.shape[1:])
         log_weights = jax.nn.logsumexp(joint, axis=0)
         possible = jnp.isfinite(log_weights)

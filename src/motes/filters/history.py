@@ -171,7 +171,7 @@ class History:
         )
 
     def _far_innovation(self, where: int) -> str:
-        square, freedom = float(self.info.surprise[where]), int(self.info.freedom[where])
+        square, freedom = float(self.info.nis[where]), int(self.info.freedom[where])
         far = f"lies {square**0.5:.4g} standard deviations from the prediction" if square < np.inf else "or its prediction is not a number"
         return (
             f"step {int(self.start) + where}: the innovation {far} ({freedom} measured component{'s'[: freedom != 1]}; "
@@ -190,7 +190,7 @@ class History:
             data["cov"] = (("time", "state", "state2"), np.asarray(self.cov))
         if "mode_probabilities" in self.kept:
             data["mode_probabilities"] = (("time", "mode"), np.asarray(self.mode_probabilities))
-        for name in ("log_evidence", "ess", "collapsed", "invalid", "surprise", "freedom", "alarm", "gated", "lost"):
+        for name in ("log_evidence", "ess", "collapsed", "invalid", "nis", "freedom", "alarm", "gated", "lost"):
             data[name] = (("time",), np.asarray(getattr(self.info, name)))
         names = list(self.names)
         attributes = archive.provenance() | {"filter": self.label, "engine": self.engine}
@@ -291,7 +291,7 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
 def _recorded(fields: dict[str, Any]) -> Info:
     """Return what a file says of each step; what files of version 0.1 lack reads as not known (`freedom` 0)."""
     like = fields["log_evidence"]
-    lacking = {name: np.zeros_like(like) for name in ("surprise", "freedom", "lost")}
+    lacking = {name: np.zeros_like(like) for name in ("nis", "freedom", "lost")}
     lacking |= {"alarm": np.zeros(like.shape, bool), "gated": np.zeros(like.shape, np.int32)}
     return Info(**{name: jnp.asarray(value) for name, value in {**lacking, **fields}.items()})
 

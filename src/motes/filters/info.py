@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from motes.core import logspace
 from motes.core.record import record, replace
-from motes.filters.alarm import Surprise
+from motes.filters.alarm import Innovation
 from motes.laws.gaussian import Correction
 
 HOPELESS = 1e4
@@ -25,8 +25,8 @@ class Info:
         highest: largest log likelihood over the particles.
         gap: nats by which the best particle falls short of a perfect fit; half the squared normalized innovation of filters whose law has
             no weights; 0 where the largest possible likelihood is not known.
-        surprise: squared distance of the measurement from what was predicted of it; chi-square where the filter's claims are right.
-        freedom: degrees of freedom of `surprise`; 0 where nothing was measured, or where no prediction is known.
+        nis: squared distance of the measurement from what was predicted of it; chi-square where the filter's claims are right.
+        freedom: degrees of freedom of `nis`; 0 where nothing was measured, or where no prediction is known.
         alarm: whether measurements have by now scattered so much more than predicted that the filter's claims are wrong (`alarm.py`).
         gated: 1 where the filter's `gate` left the measurement out, else 0.
         lost: share of the probability that left the filter's grid on the way to this step; 0 of filters without a grid.
@@ -39,7 +39,7 @@ class Info:
     lowest: jax.Array
     highest: jax.Array
     gap: jax.Array
-    surprise: jax.Array
+    nis: jax.Array
     freedom: jax.Array
     alarm: jax.Array
     gated: jax.Array
@@ -78,9 +78,9 @@ def single(done: Correction) -> Info:
     evidence = done.log_evidence
     _, info = weigh(jnp.zeros((1,), evidence.dtype), evidence[None], done.peak)
     square, freedom = 2 * (done.peak - evidence), jnp.asarray(done.count, evidence.dtype)
-    return replace(info, ess=jnp.full_like(evidence, jnp.inf), surprise=square, freedom=freedom)
+    return replace(info, ess=jnp.full_like(evidence, jnp.inf), nis=square, freedom=freedom)
 
 
-def surprised(info: Info, found: Surprise) -> Info:
+def with_innovation(info: Info, found: Innovation) -> Info:
     """Add to the record of a step how far its measurement lies from the prediction."""
-    return replace(info, surprise=found.square, freedom=found.freedom)
+    return replace(info, nis=found.square, freedom=found.freedom)

@@ -118,7 +118,7 @@ class Filter(ABC):
         """Accept an update by the rules that all filters share: nothing measured changes nothing, the gate, the policy for a collapse."""
         missing = jnp.all(jnp.isnan(y))
         if self.gate is not None:
-            outside = (info.freedom > 0) & ~alarm.within(self.gate, info.surprise, info.freedom) & ~missing
+            outside = (info.freedom > 0) & ~alarm.within(self.gate, info.nis, info.freedom) & ~missing
             info = replace(info, gated=outside.astype(jnp.int32), collapsed=info.collapsed & ~outside)
         fallback = before
         if self.on_collapse == "inflate":
@@ -128,7 +128,7 @@ class Filter(ABC):
         refused = unused | info.collapsed
         state = jax.tree.map(lambda old, new: jnp.where(refused, old, new), fallback, after)
         silent = {name: jnp.where(unused, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest", "gap")}
-        silent |= {name: jnp.where(missing, 0, getattr(info, name)) for name in ("surprise", "freedom")}
+        silent |= {name: jnp.where(missing, 0, getattr(info, name)) for name in ("nis", "freedom")}
         if hasattr(before, "log_weights"):
             silent["ess"] = jax.lax.cond(refused, lambda: logspace.effective_size(before.log_weights), lambda: info.ess)
         return state, replace(info, collapsed=info.collapsed & ~missing, **silent)

@@ -20,7 +20,7 @@ from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.clouds import resample_and_move, update_weights
 from motes.filters.gated import Gated
-from motes.filters.info import Info, surprised
+from motes.filters.info import Info, with_innovation
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.gaussian.rule import Linearized
 from motes.gaussian.sigma_points import regressed_on, through_on, unscaled
@@ -199,7 +199,7 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         some = alarm.some_of(self.n)
         few = Gaussian(state.parts.center[:, some], state.parts.covariance[..., some])
         told = Taylor().through(sensor, few, u, t)
-        return after, surprised(info, alarm.of_mixture(sensor.angles, told.center, told.covariance, state.log_weights[some], y))
+        return after, with_innovation(info, alarm.of_mixture(sensor.angles, told.center, told.covariance, state.log_weights[some], y))
 
 
 def _once(t: Any, work: Callable[[], Any]) -> Any:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from motes.core import random
 from motes.core.record import record, replace
 from motes.filters import alarm
-from motes.filters.alarm import Surprise
+from motes.filters.alarm import Innovation
 from motes.filters.info import Info, weigh
 from motes.filters.interface import Filter
 from motes.filters.proposals import Proposal
@@ -82,8 +82,8 @@ def unguided(key: jax.Array, model: StateSpaceModel, cloud: Cloud, u: Any, t: An
     return replace(cloud, particles=model.dynamics.sample(key, cloud.particles, u, t)).gathered(model.circular)
 
 
-def unguided_surprise(key: jax.Array, model: StateSpaceModel, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> Surprise:
-    """Surprise of y given some particles of the step before, moved as if it were not known."""
+def unguided_innovation(key: jax.Array, model: StateSpaceModel, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> Innovation:
+    """Normalized innovation squared of y given some particles of the step before, moved as if it were not known."""
     some = alarm.some_of(cloud.log_weights.shape[0])
     X = model.dynamics.sample(random.child(key, random.NOISE), cloud.particles[:, some], u, t)
     return alarm.of_cloud(key, model.sensor, X, cloud.log_weights[some], y, u, t)

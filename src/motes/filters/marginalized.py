@@ -19,10 +19,10 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
-from motes.filters.alarm import Surprise
+from motes.filters.alarm import Innovation
 from motes.filters.clouds import resample_and_move, update_weights
 from motes.filters.gated import Gated
-from motes.filters.info import Info, surprised
+from motes.filters.info import Info, with_innovation
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.sharp import ask_noise
 from motes.laws.circular import near, wrap
@@ -132,10 +132,10 @@ class MarginalizedParticleFilter(Gated, TwoStageFilter):
             return replace(cloud, kalman=done.law), done.log_evidence, done.peak
 
         after, info = update_weights(state, likelihood_of)
-        return after, surprised(info, _surprise(key, model, state, y, u, t))
+        return after, with_innovation(info, _innovation(key, model, state, y, u, t))
 
 
-def _surprise(key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.Array, u: Any, t: Any) -> Surprise:
+def _innovation(key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.Array, u: Any, t: Any) -> Innovation:
     """Ask some of the particles, each with its Gaussian, what they expect to measure."""
     some = alarm.some_of(state.log_weights.shape[0])
     particles, log_weights, cov = state.particles[:, some], state.log_weights[some], state.kalman.covariance
@@ -164,10 +164,10 @@ def moved(
     angles = tuple(place for place in model.places if place < own.f.shape[0])
     if model.drives:
         expected = cloud.kalman.through(own.A, own.f, own.Q)
-        surprise = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, own.f.shape[-1])
+        offset = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, own.f.shape[-1])
         if first is not None:
-            surprise = surprise.at[:, 0].set(wrap(first - expected.center[:, 0], angles))
-        informed, there = cloud.kalman.corrected(surprise, own.A, own.Q).law, expected.center + surprise
+            offset = offset.at[:, 0].set(wrap(first - expected.center[:, 0], angles))
+        informed, there = cloud.kalman.corrected(offset, own.A, own.Q).law, expected.center + offset
     else:
         informed, there = cloud.kalman, Gaussian(own.f, own.Q).sample(key, own.f.shape[-1])
         there = there if first is None else there.at[:, 0].set(near(first, own.f[:, 0], angles))

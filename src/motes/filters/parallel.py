@@ -88,7 +88,7 @@ def _run(model: Model, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[A
     done = opened(first, later)
     laws = done.law
     info = jax.vmap(single)(done)
-    suspicion, rings = alarm.advanced_in_parallel(info.surprise, info.freedom)
+    suspicion, rings = alarm.advanced_in_parallel(info.nis, info.freedom)
     info = replace(info, alarm=rings)
     evidence = RunningSum(jnp.sum(done.log_evidence), jnp.zeros((), ys.dtype))
     last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, suspicion, ys[-1], at_step(inputs, -1), t[-1])
@@ -104,7 +104,7 @@ def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tupl
     c, F, Q = affine(model.dynamics, nowhere, u, t)
     d, H, R = affine(model.sensor, nowhere, u, t)
     seen = measured_in(y, R)
-    surprise = zeroed(model.sensor.residual(y, d + H @ c), seen)
+    innovation = zeroed(model.sensor.residual(y, d + H @ c), seen)
     H, R = zeroed(H, seen, 2), among(R, seen)
     factor = linalg.cholesky(linalg.sandwich(H, Q) + R)
     gain = linalg.transpose(linalg.solve(factor, linalg.product(H, Q)))
@@ -112,9 +112,9 @@ def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tupl
     back = linalg.product(H, F)
     element = _Element(
         linalg.product(kept, F),
-        c + gain @ surprise,
+        c + gain @ innovation,
         linalg.sandwich(kept, Q) + linalg.sandwich(gain, R),
-        linalg.transpose(back) @ linalg.solve(factor, surprise),
+        linalg.transpose(back) @ linalg.solve(factor, innovation),
         linalg.symmetric(linalg.product(linalg.transpose(back), linalg.solve(factor, back))),
     )
     return element, ~jnp.all(linalg.diagonal_of(factor) > 0)

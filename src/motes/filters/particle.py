@@ -12,9 +12,9 @@ import jax
 from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.filters.clouds import resample_and_move
-from motes.filters.info import Info, surprised
+from motes.filters.info import Info, with_innovation
 from motes.filters.interface import Guide, TwoStageFilter
-from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_surprise
+from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_innovation
 from motes.filters.needs import as_particle_model
 from motes.filters.proposals import Proposal, as_proposal
 from motes.filters.sharp import ask_noise, conditions_exactly, first_weighed
@@ -107,5 +107,5 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
         resample_key, noise_key = keys_of(key)
         parents = resample(resample_key, self.scheme, self.policy, state)
         after, info = guided(noise_key, self._moves, model, parents, y, u, t)
-        info = surprised(info, unguided_surprise(noise_key, model, parents, y, u, t))
+        info = with_innovation(info, unguided_innovation(noise_key, model, parents, y, u, t))
         return Ahead(after, info, lambda: unguided(noise_key, model, parents, u, t))

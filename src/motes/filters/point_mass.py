@@ -15,7 +15,7 @@ import numpy as np
 from motes.core import checks, logspace, pairs
 from motes.core.record import record, replace, static
 from motes.filters import alarm
-from motes.filters.info import Info, surprised, weigh
+from motes.filters.info import Info, weigh, with_innovation
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.needs import ask_density
 from motes.filters.sharp import ask_full_noise, ask_noise
@@ -143,7 +143,7 @@ class PointMassFilter(TwoStageFilter):
         likelihood = model.sensor.log_prob(y, state.particles, u, t)
         weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
         found = alarm.of_cloud(key, model.sensor, state.particles, state.log_weights, y, u, t)
-        info = replace(surprised(info, found), log_evidence=info.log_evidence + jnp.log(state.held), lost=state.lost)
+        info = replace(with_innovation(info, found), log_evidence=info.log_evidence + jnp.log(state.held), lost=state.lost)
         return replace(state, log_weights=weights, held=jnp.ones_like(state.held)), info
 
 

@@ -70,7 +70,7 @@ class Setup:
         return _apart(self._handed_on(carry, state, info, y, u, t))
 
     def _handed_on(self, carry: Carry, state: Any, info: Info, y: jax.Array, u: Inputs, t: jax.Array) -> tuple[Carry, Info]:
-        suspicion, rings = alarm.advanced(carry.suspicion, info.surprise, info.freedom)
+        suspicion, rings = alarm.advanced(carry.suspicion, info.nis, info.freedom)
         evidence = carry.evidence.add(info.log_evidence)
         return Carry(self._gathered(state), evidence, suspicion, y, u, t), replace(info, alarm=rings)
 

@@ -164,17 +164,17 @@ class Gaussian(Law):
             cross = linalg.total([P[:, state] * slope for state, slope in row], jnp.zeros_like(center))
             before = jnp.maximum(linalg.total([slope * cross[state] for state, slope in row], zero), 0)
             variance = before + noise[i]
-            surprise = innovation[i] - linalg.total([slope * (center - self.center)[state] for state, slope in row], zero)
+            residual = innovation[i] - linalg.total([slope * (center - self.center)[state] for state, slope in row], zero)
             # components that were not seen are left out here: masked rows of H would be masked again for every entry of P
             used = True if seen is None else seen[i]
             inverse = jnp.where(used, linalg.inverse(variance), 0)
             lower = jnp.where(used, linalg.inverse(jnp.maximum(variance, (1 + ROUNDING * jnp.finfo(P.dtype).eps) * before)), 0)
-            center = center + cross * (inverse * jnp.where(jnp.isfinite(surprise), surprise, 0))
+            center = center + cross * (inverse * jnp.where(jnp.isfinite(residual), residual, 0))
             P = linalg.rank_update(P, cross, -lower)
             peak = peak - jnp.where(used & (variance > 0), 0.5 * (jnp.log(jnp.where(variance > 0, variance, 1)) + LOG_2PI), 0)
-            distance = distance + inverse * surprise**2
+            distance = distance + inverse * residual**2
             size = linalg.total([jnp.abs(slope * self.center[state]) for state, slope in row], zero) + jnp.abs(innovation[i])
-            off = jnp.maximum(off, jnp.where(used & ~(variance > 0), jnp.abs(surprise) - slack(P.dtype) * size, 0))
+            off = jnp.maximum(off, jnp.where(used & ~(variance > 0), jnp.abs(residual) - slack(P.dtype) * size, 0))
         evidence = jnp.where(off > 0, -jnp.inf, peak - 0.5 * distance)
         return Correction(_kept_where(jnp.isnan(evidence), self, Gaussian(center, P)), evidence, peak)
 

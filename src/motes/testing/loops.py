@@ -36,7 +36,7 @@ def stream(session: Session) -> str | None:
 def unmeasured(session: Session) -> str | None:
     """A step at which nothing is measured only predicts, to the bit, and tells of no likelihood."""
     whole = session.whole
-    told = {name: float(getattr(whole.info, name)[GAP]) for name in ("log_evidence", "collapsed", "surprise", "freedom")}
+    told = {name: float(getattr(whole.info, name)[GAP]) for name in ("log_evidence", "collapsed", "nis", "freedom")}
     loud = [f"{name} {value:g}" for name, value in told.items() if value != 0]
     if loud:
         return f"where nothing is measured its record has {', '.join(loud)}."
