@@ -22,8 +22,8 @@ KINDS = first_of_kinds(FILTERS)
 """One filter of each kind that the loop sees: of law, and whether it looks ahead."""
 FEW = first_of_kinds(FILTERS, lambda filter: filter.look_ahead)
 """One filter that looks ahead, and one that does not."""
-BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "cut": KINDS, "vmapped": KINDS, "likelihood": KINDS, "inflation": KINDS,
-          "smallest": KINDS, "eager": FEW, "derivative": FEW}  # fmt: skip
+BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "cut": KINDS, "likelihood": KINDS,
+          **dict.fromkeys(("vmapped", "inflation", "smallest", "eager", "derivative"), FEW)}  # fmt: skip
 """Filters that are asked a rule by day, all others being asked by night; of rules not named here, those of `CLASSES`."""
 ONE_STATE = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,), "size": 1}
 """Parameters in place of those for two states."""
