@@ -78,6 +78,7 @@ def flown(filter, build, flights):
     return jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(keys, flights))
 
 
+@pytest.mark.night
 @pytest.mark.optimized  # much to compute
 def test_particles_with_modes_beat_constant_velocity_and_equal_interacting_models(flights):
     """Mean position at most 43 m and velocity at most 8.2 m/s with 200 particles, no track lost, in 20 seeds."""

@@ -113,6 +113,7 @@ def test_a_flight_is_kept(flight):
     np.testing.assert_allclose(jnp.stack([north, east], axis=1), flight.truth, atol=0.01)
 
 
+@pytest.mark.night
 def test_without_position_noise(flight):
     """The position wanders by what the velocity noise makes of it alone; factors of that tiny noise are there in float32."""
     model = error_model(flight.terrain, Noises(position=0.0), kind=FIFTEEN, cruise=CRUISE)

@@ -289,6 +289,7 @@ def test_a_start_is_the_same_whatever_the_habits_of_the_recording(file, name):
         assert np.isfinite(np.asarray(made.inputs.turn)).all()
 
 
+@pytest.mark.night
 def test_a_backward_column_would_lose_the_track(file):
     """The planted twin: the heading taken from the file, as it once was."""
     second = recordings.backward(read_plaza(file))

@@ -149,6 +149,7 @@ def integrated_bound(steps):
     return np.array(found)
 
 
+@pytest.mark.night
 def test_equals_integrated_scores(double):
     """Level 1e-6 over all steps: 12 keys, whose spread gives the standard error of their mean."""
     steps = 5

@@ -74,6 +74,7 @@ def test_study_compares_filters(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "out" / "study.png").stat().st_size > 10_000
 
 
+@pytest.mark.night
 def test_run_repeats_the_demo(folder, demo, capsys):
     assert main(["run", str(folder / "terrain.toml"), "--seed", "1"]) == 0
     printed = capsys.readouterr().out

@@ -43,6 +43,7 @@ def test_dynamic_program_equals_enumeration(coal):
     np.testing.assert_allclose(found_first, first / number.sum(), rtol=1e-10)
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("recorded", [False, pytest.param(True, marks=[pytest.mark.optimized, pytest.mark.night])])
 def test_changes_of_yearly_counts_equal_the_exact_ones(coal, recorded):
     if recorded:

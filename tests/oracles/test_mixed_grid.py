@@ -139,7 +139,7 @@ def answers():
         return found
 
 
-@pytest.mark.parametrize("name", each(list(cases()), {"C zero"}))
+@pytest.mark.parametrize("name", each(list(cases()), {"C zero", "C constant"}))
 def test_posterior_equals_the_grid(answers, name, double):
     model, ys, (means, variances, total) = answers[name]
     history = mo.run(5, mo.MarginalizedParticleFilter(n=100_000, linear=("l",)), model, ys)
@@ -173,6 +173,7 @@ def test_structure_of_the_cases():
     assert found["all depend on the particle"].covariance == "per-particle"
 
 
+@pytest.mark.night
 def test_mixed_linear_model_by_hand_equals_the_traced_one(answers, double):
     parts = cases()["correlated and dependent"]
 

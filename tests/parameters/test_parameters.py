@@ -10,7 +10,7 @@ from scipy import stats
 import motes as mo
 from motes.core import random
 from motes.core.checks import CollapseError, MotesError
-from tiers import NIGHT
+from tiers import NIGHT, each
 
 mcmc, parameters = mo.mcmc, mo.parameters
 STEPS = 12
@@ -140,6 +140,7 @@ def pair(theta):
 PAIR_YS = jnp.asarray(mo.simulate(5, pair(None), STEPS)[1]).at[6].set(jnp.nan)
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("n, linear", [
     (4, ("b",)), pytest.param(6, ("a",), marks=pytest.mark.night), pytest.param(1, None, marks=pytest.mark.night),
 ], ids=["b", "a", "both"])
@@ -163,6 +164,7 @@ def skewed(theta):
                               mo.LinearGaussian(jnp.eye(1), jnp.eye(1)), noise_cross_cov=0.9 * jnp.eye(1))  # fmt: skip
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("kernel", [parameters.ParticleGibbs(10), parameters.RaoBlackwellizedParticleGibbs(1)],
                          ids=["plain", "marginalized"])  # fmt: skip
 def test_noises_that_go_together_reach_the_path(kernel):
@@ -188,6 +190,7 @@ def test_a_row_without_measurement_tells_a_custom_sensor_nothing():
     assert np.isfinite(np.asarray(chains.log_density)).all()
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("around", [mcmc.Adaptive, lambda kernel: mcmc.Repeat(kernel, 2)], ids=["Adaptive", "Repeat"])
 def test_correlated_chains_in_a_wrapper(around):
     posterior = parameters.Posterior(PRIOR, model, mo.ParticleFilter(n=20, scheme=mo.resampling.Sorted()), YS)
@@ -255,6 +258,7 @@ def test_iterated_filtering_climbs_to_the_maximum():
     assert found.means.shape == (25, 2) and found.spread[-1].max() < found.spread[0].max()
 
 
+@pytest.mark.night
 def test_the_likelihood_has_a_gradient():
     posterior = parameters.Posterior(PRIOR, model, mo.KalmanFilter(), YS)
     at = jnp.array([0.3, -0.4])
@@ -293,7 +297,7 @@ def ranks(kernel, make, start, theta_of, worlds=400 * TIMES, draws=15, apart=40)
 
 
 @pytest.mark.optimized
-@pytest.mark.parametrize("name", ["PMMH", "particle Gibbs"])
+@pytest.mark.parametrize("name", each(["PMMH", "particle Gibbs"], {"PMMH"}))
 def test_ranks_of_the_truth_are_uniform(name):
     """Simulation-based calibration (Talts et al. 2018); 16 ranks from 400 worlds, by night ten times as many."""
     from motes.core.record import replace
