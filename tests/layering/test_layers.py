@@ -1,4 +1,4 @@
-"""The floors of the house: a file imports only lower ranks; methods never import each other."""
+"""The layers: a file imports only lower ranks; methods never import each other."""
 
 import ast
 

@@ -25,7 +25,7 @@ def asked(monkeypatch):
     return seen
 
 
-@pytest.mark.skipif(jax.__version_info__ >= MENDED, reason="this JAX does not stop")
+@pytest.mark.skipif(jax.__version_info__ >= MENDED, reason="from JAX 0.12 on nothing stops, and programs are compiled without options")
 def test_programs_of_their_own_are_compiled_with_care(asked):
     def loop(x):
         return jax.lax.fori_loop(0, 3, lambda i, x: x + i, x)
@@ -53,7 +53,7 @@ def test_within_other_programs():
     np.testing.assert_allclose(alone, within, rtol=1e-6)
 
 
-@pytest.mark.skipif(jax.__version_info__ >= MENDED, reason="this JAX does not stop")
+@pytest.mark.skipif(jax.__version_info__ >= MENDED, reason="from JAX 0.12 on nothing stops, and programs are compiled without options")
 def test_a_compiler_without_the_options_does_without(monkeypatch):
     monkeypatch.setattr(compiling, "OPTIONS", {"xla_cpu_no_such_option": False})
     compiling._are_known.cache_clear()

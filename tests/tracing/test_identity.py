@@ -37,7 +37,6 @@ def _flat(x):
 _flat.defjvp(lambda primals, tangents: (_flat(primals[0]), 0 * tangents[0]))
 
 
-
 def _mapped(function, rule):
     made = custom_vmap(function)
     made.def_vmap(rule)

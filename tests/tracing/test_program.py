@@ -44,7 +44,7 @@ class Numbers:
             return carry
         if isinstance(parts, internals.Solve):
             return walk(parts.program, parts.operands, self)
-        return internals.numbers(equation, operands)
+        return internals.worked_out(equation, operands)
 
     def scanned(self, scan):
         carry, made = list(scan.carry), []

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from motes.bounds.bound import Bound
 from motes.core import checks
-from motes.core.loop import loop, opened
+from motes.core.loop import loop, with_first
 from motes.core.types import Inputs
 from motes.gaussian.rule import has_moments
 from motes.gaussian.taylor import Taylor, affine
@@ -69,4 +69,4 @@ def _covariances(given: Any, xs: jax.Array, inputs: Inputs, beside: Beside) -> j
 
     first = measure(model.initial.cov(), jnp.int32(0))
     _, rest = loop(advance, first, jnp.arange(1, xs.shape[0], dtype=jnp.int32))
-    return opened(first, rest)
+    return with_first(first, rest)

@@ -18,19 +18,20 @@ MENDED = (0, 12)
 """The first JAX that was never seen to stop."""
 
 
-def _apart(function: Callable[[jax.Array], Any]) -> Callable[[jax.Array], Any]:
+def _one_by_one(function: Callable[[jax.Array], Any]) -> Callable[[jax.Array], Any]:
     """Return a function of one matrix that does one after the other where it is mapped over many."""
     alone = sequential_vmap(function)
-    return lambda a: (alone if _waits() else function)(a)
+    return lambda a: (alone if stops() else function)(a)
 
 
-def _waits() -> bool:
+def stops() -> bool:
+    """Tell whether decompositions of many matrices at a time can stop the process: with this JAX, on this device."""
     return jax.__version_info__ < MENDED and jax.default_backend() == "cpu"
 
 
-_inverse = _apart(jnp.linalg.inv)
-_log_volume = _apart(lambda a: jnp.linalg.slogdet(a)[1])
-_eigen = _apart(lambda a: tuple(jnp.linalg.eigh(a)))
+_inverse = _one_by_one(jnp.linalg.inv)
+_log_volume = _one_by_one(lambda a: jnp.linalg.slogdet(a)[1])
+_eigen = _one_by_one(lambda a: tuple(jnp.linalg.eigh(a)))
 
 
 @jax.custom_jvp

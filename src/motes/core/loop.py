@@ -40,6 +40,6 @@ def loop(step: Callable[[C, Any], tuple[C, K]], first: C, rows: Any, count: jax.
     return last, kept
 
 
-def opened(first: K, rest: K) -> K:
+def with_first(first: K, rest: K) -> K:
     """Put what was kept of a first step before what was kept of the others, time axis first."""
     return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, rest)

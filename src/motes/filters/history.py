@@ -88,7 +88,7 @@ class History:
         if "mean" in self.kept and "cov" in self.kept:
             spread = np.sqrt(np.diagonal(np.asarray(self.cov[-1])))
             each = zip(self.names, np.asarray(self.mean[-1]), spread, strict=True)
-            lines.append(f"at the end      {', '.join(f'{name} {value:.4g} +- {scale:.2g}' for name, value, scale in each)}")
+            lines.append(f"at the end      {', '.join(f'{name} {value:.4g} +- {deviation:.2g}' for name, value, deviation in each)}")
         if self.has_evidence:
             lines.append(f"log likelihood  {float(self.log_likelihood):.6g}")
         if self.particles:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg
 from motes.core.logspace import RunningSum
-from motes.core.loop import opened
+from motes.core.loop import with_first
 from motes.core.record import replace
 from motes.core.types import Inputs
 from motes.filters import alarm, keep, notices, precision
@@ -78,14 +78,14 @@ def _run(model: Model, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[A
     nothing = jnp.zeros_like(first.law.covariance)
     opening = _Element(nothing, first.law.center, first.law.covariance, jnp.zeros_like(first.law.center), nothing)
     others, exact = jax.vmap(lambda y, u, t: _element(model, y, u, t))(*jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
-    elements = opened(opening, others)
+    elements = with_first(opening, others)
     together = jax.lax.associative_scan(jax.vmap(_combined), elements)
 
     def judged(b: jax.Array, C: jax.Array, y: jax.Array, u: Any, t: jax.Array) -> Any:
         return Linear().measured(model.sensor, Linear().through(model.dynamics, Gaussian(b, C), u, t), y, u, t)
 
     later = jax.vmap(judged)(together.b[:-1], together.C[:-1], *jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
-    done = opened(first, later)
+    done = with_first(first, later)
     laws = done.law
     info = jax.vmap(single)(done)
     suspicion, rings = alarm.advanced_in_parallel(info.nis, info.freedom)

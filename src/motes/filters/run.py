@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.loop import loop, opened
+from motes.core.loop import loop, with_first
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, KeyLike
 from motes.filters import keep as keeping
@@ -152,7 +152,7 @@ def _run(
             start = jnp.int32(0)
             carry, info = ready.begin(ys[0], at_step(inputs, 0))
             last, rest = loop(step, carry, jax.tree.map(lambda leaf: leaf[1:], (ys, inputs)))
-            of_steps, infos = opened((keep(carry.state), info), rest)
+            of_steps, infos = with_first((keep(carry.state), info), rest)
         else:
             start = first.step + 1
             last, (of_steps, infos) = loop(step, first, (ys, inputs))

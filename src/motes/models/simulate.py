@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
-from motes.core.loop import loop, opened
+from motes.core.loop import loop, with_first
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.laws.conditional import Custom
@@ -105,4 +105,4 @@ def _simulate(key: jax.Array, given: Model, steps: int, inputs: Inputs, beside: 
     x = model.initial.sample(random.child(random.step_key(key, 0), random.INITIAL), 1)[:, 0]
     y = _measured(key, model, x, at_step(inputs, 0), jnp.int32(0))
     _, rest = loop(advance, (x, y), jnp.arange(1, steps, dtype=jnp.int32))
-    return opened((x, y), rest)
+    return with_first((x, y), rest)

@@ -8,7 +8,7 @@ from typing import Any
 
 from motes.native.rules import MOVES, Untranslatable
 from motes.native.translate import block_of
-from motes.tracing.internals import Branches, called, control, has_own_mapping, opened
+from motes.tracing.internals import Branches, called, control, has_own_mapping, without_constants
 from motes.tracing.program import walk
 
 COUNT = 99_991
@@ -21,7 +21,7 @@ def check(program: Any) -> None:
     Raises:
         Untranslatable: the text names the operation.
     """
-    walk(program, [_axes(variable) for variable in opened(program)[0].invars], _Apart())
+    walk(program, [_axes(variable) for variable in without_constants(program)[0].invars], _Apart())
 
 
 class _Apart:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, linalg, random
-from motes.core.loop import loop, opened
+from motes.core.loop import loop, with_first
 from motes.core.record import replace
 from motes.core.types import KeyLike
 from motes.filters.info import weigh
@@ -99,4 +99,4 @@ def _filtered(key: jax.Array, given: Parametric, n: int, a: Any, beside: Beside)
 
     cloud, first = weighed(Cloud.equal(model.initial.particles), 0)  # type: ignore[attr-defined]
     cloud, rest = loop(ahead, cloud, jnp.arange(1, given.ys.shape[0], dtype=jnp.int32))
-    return cloud, opened(first, rest)
+    return cloud, with_first(first, rest)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
-from motes.core.loop import loop, opened
+from motes.core.loop import loop, with_first
 from motes.core.record import record
 from motes.mcmc.interface import Info, Kernel, Position, State
 from motes.models.state_space import StateSpaceModel, as_state_space, at_step
@@ -56,7 +56,7 @@ class PathPosterior(Parametric):
             return x, x[:, 0]
 
         _, rest = loop(ahead, first, jnp.arange(1, self.ys.shape[0], dtype=jnp.int32))
-        return {"theta": theta, "path": opened(first[:, 0], rest)}
+        return {"theta": theta, "path": with_first(first[:, 0], rest)}
 
 
 class DrawsPaths(Kernel):

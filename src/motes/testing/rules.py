@@ -10,7 +10,7 @@ from motes.testing.session import DoesNotApply, Session
 _KEYS = "Derive each key from that of the step by motes.core.random.child, and keep nothing outside of the law."
 _LAW = "What is needed to go on belongs to the law."
 _STAGES = "Leave `step` to TwoStageFilter, which keeps the two stages apart."
-_SETTLE = "Let `correct` say what it found, and leave what follows of it to `settle` of the base class."
+_ACCEPT = "Let `correct` say what it found, and leave what follows of it to `accept` of the base class."
 
 
 class Rule(NamedTuple):
@@ -48,7 +48,7 @@ RULES = (
     Rule("its law keeps its form, in both precisions", laws.form, "Make arrays in the type of the model's; shapes never change."),
     Rule("its law answers mean, covariance and draws", laws.answers, "Look at `mean`, `cov` and `sample` of the law."),
     Rule("a stream draws the numbers of a run, to the bit", loops.stream, f"{_KEYS} {_STAGES}", exact=True),
-    Rule("a step without a measurement only predicts, to the bit", loops.unmeasured, f"{_SETTLE} {_STAGES}", exact=True),
+    Rule("a step without a measurement only predicts, to the bit", loops.unmeasured, f"{_ACCEPT} {_STAGES}", exact=True),
     Rule("a run that is continued goes on as if uncut, to the bit", loops.cut, f"{_KEYS} {_LAW}", exact=True),
     Rule("a stream saved and loaded goes on, to the bit", loops.checkpoint, _LAW, exact=True),
     Rule("a second run of the same kind compiles nothing", loops.compiled_once,
@@ -61,10 +61,11 @@ RULES = (
          "Look at constants and determinants; set has_evidence = False where what it sums is no likelihood."),
     Rule("its likelihood can be differentiated", measurements.derivative,
          "Look for square roots, logarithms and divisions at 0, also where `where` hides them."),
-    Rule("it survives an outlier", measurements.outlier, _SETTLE),
-    Rule("a collapse is told of with its step", measurements.collapse, _SETTLE),
+    Rule("it survives an outlier", measurements.outlier, _ACCEPT),
+    Rule("a collapse is told of with its step", measurements.collapse, _ACCEPT),
     Rule("a collapse can be answered by inflating", measurements.inflation, "Look at `inflated` of the law."),
-    Rule("weights that are none are not used in silence", measurements.weights, "Weigh by `reweigh`, which sees to it."),
+    Rule("weights that are none are not used in silence", measurements.weights,
+         "Weigh by `update_weights` (motes.filters.clouds), which sees to it."),
     Rule("it works with one particle", measurements.fewest, "Look for divisions by n - 1, and for shapes that are 0."),
     Rule("it works on one state, with three particles", measurements.smallest, "Look for shapes that are 1 and broadcast."),
 )  # fmt: skip

@@ -174,7 +174,7 @@ def _computed(equation: Any, operands: Sequence[Value]) -> list[Any] | None:
         return None
     try:
         with jax.ensure_compile_time_eval():
-            return internals.numbers(equation, [value.known for value in operands])
+            return internals.worked_out(equation, [value.known for value in operands])
     except Exception:  # whatever stops it (an axis name, a debugging switch), the numbers are merely not known
         return None
 

@@ -22,7 +22,7 @@ from jax.core import Tracer
 from motes.core import told
 from motes.core.checks import MotesError
 from motes.core.record import is_function
-from motes.tracing.internals import PROGRAMS, called, jitted_name, keeps_traces, opened, parameters
+from motes.tracing.internals import PROGRAMS, called, jitted_name, keeps_traces, parameters, without_constants
 from motes.tracing.program import walk
 from motes.tracing.reading import Reading, changes
 
@@ -161,7 +161,7 @@ class _Kept:
     def traces(cls, program: Any, names: set[str]) -> bool:
         """Tell whether there are some in a program, where jitted ones have one of the names."""
         kept = cls(names)
-        walk(program, [None] * len(opened(program)[0].invars), kept)
+        walk(program, [None] * len(without_constants(program)[0].invars), kept)
         return kept.found
 
     def literal(self, atom: Any) -> None:
@@ -243,7 +243,7 @@ def _program(program: Any) -> tuple[Any, ...]:
     Raises:
         _IncomparableError: the program holds something that has no value to compare, or has effects.
     """
-    jaxpr, consts = opened(program)
+    jaxpr, consts = without_constants(program)
     if jaxpr.effects:
         raise _IncomparableError
     spelled = _Spelled(len(jaxpr.constvars), len(jaxpr.invars))

@@ -21,7 +21,7 @@ JITTED: Any = type(jax.jit(lambda: None))
 """Class of jitted functions."""
 
 
-def opened(program: Any) -> tuple[Any, Sequence[Any]]:
+def without_constants(program: Any) -> tuple[Any, Sequence[Any]]:
     """Return a traced program without its constants, and them."""
     return getattr(program, "jaxpr", program), getattr(program, "consts", ())
 
@@ -139,7 +139,7 @@ def keeps_traces(equation: Any) -> bool:
 # ---- what equations hold ----
 
 
-def numbers(equation: Any, operands: Sequence[Any]) -> list[Any]:
+def worked_out(equation: Any, operands: Sequence[Any]) -> list[Any]:
     """Let JAX work out an equation for given operands."""
     results = equation.primitive.bind(*operands, **equation.params)
     return list(results) if equation.primitive.multiple_results else [results]

@@ -8,7 +8,7 @@ particles or C++ (`native`).
 from collections.abc import Sequence
 from typing import Any, Protocol, TypeVar
 
-from motes.tracing.internals import Literal, opened
+from motes.tracing.internals import Literal, without_constants
 
 V = TypeVar("V")
 
@@ -37,7 +37,7 @@ def walk(program: Any, inputs: Sequence[V], rules: Rules[V]) -> list[V]:
         inputs: what stands for each of its inputs.
         rules: say what stands for everything else.
     """
-    jaxpr, consts = opened(program)
+    jaxpr, consts = without_constants(program)
     constants = [rules.constant(variable, value) for variable, value in zip(jaxpr.constvars, consts, strict=True)]
     known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *inputs], strict=True))
 
