@@ -8,6 +8,7 @@
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -25,10 +26,11 @@ TRIALS = 60
 
 
 class Proposed(NamedTuple):
-    """Where a jump leads, what it costs, and whether its reverse leads back."""
+    """Where a jump leads, the log ratio there but for its Jacobian, the live part of the Jacobian, and whether the reverse leads back."""
 
     position: Configuration
     log_ratio: jax.Array
+    jacobian: jax.Array
     undone: jax.Array
 
 
@@ -124,15 +126,24 @@ class ReversibleJump(Kernel):
             return jnp.concatenate([to_x, to_u])
 
         jacobian = jnp.concatenate(jax.jacfwd(mapped, argnums=(0, 1))(x, u), axis=1)
-        log_volume = _log_volume(jacobian, (old_size, x.shape[0]), (new_size, x.shape[0]))
+        live = _live(jacobian, (old_size, x.shape[0]), (new_size, x.shape[0]))
         again = back.map(there.model, there.x, new_u, new_choice)
         undone = (old_size + u.shape[0] == new_size + new_u.shape[0]) & _same(again, (model, x, u, choice), old_size)
-        return Proposed(there, log_back + log_u + log_volume, undone)
+        return Proposed(there, log_back + log_u, live, undone)
 
-    def _jumped(self, chosen: jax.Array, key: jax.Array, position: Configuration) -> Proposed:
-        """Make the chosen jump."""
-        branches = [lambda position, place=place: self._proposed(place, key, position) for place in range(len(self.jumps))]
-        return jax.lax.switch(chosen, branches, position)
+    def _jumped(self, chosen: jax.Array, key: jax.Array, position: Configuration) -> tuple[Configuration, jax.Array, jax.Array]:
+        """Make the chosen jump: where it leads, its log ratio, and whether its reverse leads back."""
+        jumps = [partial(self._proposed, place, key) for place in range(len(self.jumps))]
+        widest = max(jax.eval_shape(jump, position).jacobian.shape[0] for jump in jumps)
+
+        def widened(jump: Callable[[Configuration], Proposed], position: Configuration) -> Proposed:
+            found = jump(position)
+            live = found.jacobian
+            return found._replace(jacobian=jnp.eye(widest, dtype=live.dtype).at[: len(live), : len(live)].set(live))
+
+        # chains that jump side by side make every jump each: one determinant for all jumps in place of one for each
+        found = jax.lax.switch(chosen, [partial(widened, jump) for jump in jumps], position)
+        return found.position, found.log_ratio + lapack.log_volume(found.jacobian), found.undone
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make one jump, and a step within the model."""
@@ -145,16 +156,18 @@ class ReversibleJump(Kernel):
         log_ratio = log_ratio + self._log_jumps(there)[backs[chosen]] - log_jumps[chosen] + density - state.log_density
         # where nothing can be chosen, and where the map is not undone, the chain stays
         allowed = undone & jnp.isfinite(log_jumps[chosen])
-        after, told = settle(random.child(key, random.UPDATE), state, replace(state, position=there, log_density=density),
-                             jnp.where(allowed, log_ratio, -jnp.inf))
+        after, told = settle(
+            random.child(key, random.UPDATE),
+            state,
+            replace(state, position=there, log_density=density),
+            jnp.where(allowed, log_ratio, -jnp.inf),
+        )
         own = (jnp.arange(len(self.jumps)) == chosen) & jnp.isfinite(log_jumps[chosen])
         broken = told.invalid | (~undone).astype(jnp.int32)
         info = Info(own * told.tried, own * told.accepted, own * broken)
         return (after, info) if self.within is None else self._stayed(self.within, key, log_density, after, t, info)
 
-    def _stayed(
-        self, within: Kernel, key: jax.Array, log_density: LogDensity, state: State, t: Any, jumped: Info
-    ) -> tuple[State, Info]:
+    def _stayed(self, within: Kernel, key: jax.Array, log_density: LogDensity, state: State, t: Any, jumped: Info) -> tuple[State, Info]:
         """Move x within its model."""
         model = state.position.model
         inner = State(state.position.x, state.log_density, state.memory)
@@ -174,17 +187,20 @@ class ReversibleJump(Kernel):
                 break
             place = int(possible[np.argmin(tried[possible])])
             tried[place] += 1
-            found = jumped(jnp.int32(place), random.step_key(key, trial), here)
+            there, log_ratio, undone = jumped(jnp.int32(place), random.step_key(key, trial), here)
             name, back = self.names[place], self.jumps[place].reverse
-            if not bool(found.undone):
-                checks.refuse(f"ReversibleJump jumps[{name!r}] map", f"one that {back!r} undoes, with as many live numbers on both sides",
-                              f"another point coming back to model {np.asarray(here.model).tolist()}")
-            backward = float(choose(found.position)[self.names.index(back)])
-            if not np.isfinite(backward) or not np.isfinite(float(found.log_ratio)):
+            if not bool(undone):
+                checks.refuse(
+                    f"ReversibleJump jumps[{name!r}] map",
+                    f"one that {back!r} undoes, with as many live numbers on both sides",
+                    f"another point coming back to model {np.asarray(here.model).tolist()}",
+                )
+            backward = float(choose(there)[self.names.index(back)])
+            if not np.isfinite(backward) or not np.isfinite(float(log_ratio)):
                 wanted = f"a map to where {back!r} can come back from, with a Jacobian that is not 0"
-                given = f"log probability {backward:.4g} of {back!r}, log ratio {float(found.log_ratio):.4g}"
+                given = f"log probability {backward:.4g} of {back!r}, log ratio {float(log_ratio):.4g}"
                 checks.refuse(f"ReversibleJump jumps[{name!r}]", wanted, given)
-            here = found.position if np.isfinite(float(log_density(found.position))) else here
+            here = there if np.isfinite(float(log_density(there))) else here
         if self.within is not None:
             self.within.check(key, self._given(log_density, here.model), here.x)
 
@@ -194,8 +210,8 @@ def _log_shares(log_weights: jax.Array) -> jax.Array:
     return jnp.where(jnp.isfinite(total), shares, -jnp.inf)
 
 
-def _log_volume(jacobian: jax.Array, before: tuple[Any, int], after: tuple[Any, int]) -> jax.Array:
-    """Log of the determinant of the live part of a Jacobian; live numbers and length of x on each side, all of u lives."""
+def _live(jacobian: jax.Array, before: tuple[Any, int], after: tuple[Any, int]) -> jax.Array:
+    """Live part of a Jacobian, filled up with ones on its diagonal; live numbers and length of x on each side, all of u lives."""
 
     def live_first(length: int, size: Any, padded: int) -> jax.Array:
         where = jnp.arange(length)
@@ -205,7 +221,7 @@ def _log_volume(jacobian: jax.Array, before: tuple[Any, int], after: tuple[Any, 
     least = min(jacobian.shape)
     ordered = jacobian[rows[:least]][:, columns[:least]]
     live = jnp.arange(least) < before[0] + jacobian.shape[1] - before[1]
-    return lapack.log_volume(jnp.where(live[:, None] & live, ordered, jnp.eye(least, dtype=jacobian.dtype)))
+    return jnp.where(live[:, None] & live, ordered, jnp.eye(least, dtype=jacobian.dtype))
 
 
 def _same(again: Any, first: Any, size: Any) -> jax.Array:
