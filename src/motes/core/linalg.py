@@ -147,17 +147,23 @@ def cholesky(a: jax.Array, scale: jax.Array | None = None) -> jax.Array:
     return jnp.stack([jnp.stack(row) for row in L])
 
 
-def cholesky_update(lower: jax.Array, v: jax.Array) -> jax.Array:
+def cholesky_update(lower: jax.Array, v: jax.Array, scale: jax.Array | None = None) -> jax.Array:
     """Lower factor of L L' + V V' for V `(i, m, *n)`, from L with a diagonal that is not negative; neither product is formed.
 
     One reflection per pivot turns row j of V into the pivot of column j; where both are zero up to rounding nothing is turned.
+
+    Args:
+        lower: L, `(i, i, *n)`.
+        v: V.
+        scale: size of the terms that made each row of L and V, `(i, *n)`, for the rounding that it has; None where it is that of the row.
     """
     if lower.shape[0] == 0 or v.shape[1] == 0:
         return lower
     lower, v = _align(lower, v, 2)
     columns: list[jax.Array] = []
     tolerance = 4 * lower.shape[0] * float(jnp.finfo(lower.dtype).eps)
-    least = tolerance * jnp.sqrt(jnp.sum(lower**2, axis=1) + jnp.sum(v**2, axis=1))
+    scale = jnp.sqrt(jnp.sum(lower**2, axis=1) + jnp.sum(v**2, axis=1)) if scale is None else scale
+    least = tolerance * scale
     for j in range(lower.shape[0]):
         column, row = lower[j:, j], v[0]
         pivot = jnp.sqrt(column[0] ** 2 + jnp.sum(row**2, axis=0))
@@ -170,9 +176,9 @@ def cholesky_update(lower: jax.Array, v: jax.Array) -> jax.Array:
     return _lower(columns)
 
 
-def triangle(v: jax.Array) -> jax.Array:
-    """Lower factor of V V' for V `(i, m, *n)`; the product is never formed, so that it keeps twice the digits."""
-    return cholesky_update(jnp.zeros((v.shape[0], v.shape[0], *v.shape[2:]), v.dtype), v)
+def triangle(v: jax.Array, scale: jax.Array | None = None) -> jax.Array:
+    """Lower factor of V V' for V `(i, m, *n)`; the product is never formed, so that it keeps twice the digits. For scale see above."""
+    return cholesky_update(jnp.zeros((v.shape[0], v.shape[0], *v.shape[2:]), v.dtype), v, scale)
 
 
 def _lower(columns: list[jax.Array]) -> jax.Array:

@@ -24,6 +24,11 @@ def slack(dtype: Any) -> float:
     return ROUNDING * float(jnp.finfo(dtype).eps)
 
 
+def carried(dtype: Any) -> float:
+    """The same of a state that was found from measurements, where a division by what is left of a variance costs up to half the digits."""
+    return float(jnp.finfo(dtype).eps) ** 0.5
+
+
 def noiseless(R: jax.Array) -> jax.Array:
     """Tell of each component of a noise of covariance R `(y, y, *n)` whether those before it say all of it, `(y, *n)`."""
     return ~(linalg.diagonal_of(linalg.cholesky(R)) > 0)

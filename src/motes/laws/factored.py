@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from motes.core import linalg, random
 from motes.core.record import record
-from motes.laws.density import among, log_density, zeroed
+from motes.laws.density import among, carried, log_density, zeroed
 from motes.laws.gaussian import Correction
 from motes.laws.law import Law
 
@@ -43,7 +43,8 @@ class FactoredGaussian(Law):
     def moved(self, center: jax.Array, slope: jax.Array, noise: jax.Array) -> "FactoredGaussian":
         """Return the law of a state about the center `(x,)`, moved by a slope `(x, x)` with noise of covariance `(x, x)`."""
         both = jnp.concatenate([linalg.product(slope, self.factor), linalg.cholesky(noise)], axis=1)
-        return FactoredGaussian(center, linalg.triangle(both))
+        terms = jnp.sqrt(self._terms(slope) ** 2 + linalg.diagonal_of(noise))
+        return FactoredGaussian(center, linalg.triangle(both, terms))
 
     def corrected(self, innovation: jax.Array, H: jax.Array, R: jax.Array, seen: jax.Array) -> "Correction[FactoredGaussian]":
         """Condition on an innovation `(y,)` of y = H x + e, e of covariance R `(y, y)`, as `Gaussian.corrected` does.
@@ -55,13 +56,18 @@ class FactoredGaussian(Law):
         nothing = jnp.zeros((self.center.shape[0], size), self.factor.dtype)
         noise = linalg.cholesky(R)
         rows = [[noise, linalg.product(H, self.factor)], [nothing, self.factor]]
-        triangle = linalg.triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]))
+        terms = jnp.concatenate([jnp.sqrt(self._terms(H) ** 2 + linalg.diagonal_of(R)), self._terms(linalg.identity_like(self.factor))])
+        triangle = linalg.triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]), terms)
         factor, gain, left = triangle[:size, :size], triangle[size:, :size], triangle[size:, size:]
         size, exact = linalg.times_vector(jnp.abs(H), jnp.abs(self.center)), ~(linalg.diagonal_of(noise) > 0)
-        log_evidence, peak = log_density(innovation, factor, seen, size, exact)
+        log_evidence, peak = log_density(innovation, factor, seen, size, exact, carried(factor.dtype))
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = self.center + linalg.times_vector(gain, linalg.solve_lower(factor, usable))
         return Correction(FactoredGaussian(center, left), log_evidence, peak)
+
+    def _terms(self, slope: jax.Array) -> jax.Array:
+        """Standard deviations `(y,)` of what a slope `(y, x)` makes of the state, had all terms one sign: how large rounding takes it."""
+        return linalg.times_vector(jnp.abs(slope), jnp.sqrt(jnp.sum(self.factor**2, axis=1)))
 
     def inflated(self, factor: float) -> "FactoredGaussian":
         """Return the law with its covariance times a factor."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from motes.core import checks, linalg, random
 from motes.core.record import record
-from motes.laws.density import LOG_2PI, ROUNDING, among, log_density, log_normal, noiseless, same_batch, slack, zeroed
+from motes.laws.density import LOG_2PI, ROUNDING, among, carried, log_density, log_normal, noiseless, same_batch, slack, zeroed
 from motes.laws.law import Law
 
 L = TypeVar("L")
@@ -127,12 +127,13 @@ class Gaussian(Law):
         # the barriers keep compilers from working factor and gain out again for every entry that uses them
         factor = jax.lax.optimization_barrier(factor)
         size = linalg.times_vector(jnp.abs(H), jnp.abs(self.center))
-        log_evidence, peak = log_density(innovation, factor, seen, size, exact)
+        log_evidence, peak = log_density(innovation, factor, seen, size, exact, carried(P.dtype))
         gain = jax.lax.optimization_barrier(linalg.transpose(linalg.solve(*same_batch(factor, cross))))
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = linalg.add_vectors(linalg.times_vector(gain, usable), self.center)
         kept = linalg.add(linalg.identity_like(P), -linalg.product(gain, H))
         joseph = linalg.add(linalg.sandwich(kept, P), linalg.sandwich(gain, R))
+        joseph = _without_rounding(joseph, jnp.any(exact, axis=0), gain, H, P)
         return Correction(_kept_where(jnp.isnan(log_evidence), self, Gaussian(center, joseph)), log_evidence, peak)
 
     def corrected_in_turn(
@@ -174,7 +175,7 @@ class Gaussian(Law):
             peak = peak - jnp.where(used & (variance > 0), 0.5 * (jnp.log(jnp.where(variance > 0, variance, 1)) + LOG_2PI), 0)
             distance = distance + inverse * residual**2
             size = linalg.total([jnp.abs(slope * self.center[state]) for state, slope in row], zero) + jnp.abs(innovation[i])
-            off = jnp.maximum(off, jnp.where(used & ~(variance > 0), jnp.abs(residual) - slack(P.dtype) * size, 0))
+            off = jnp.maximum(off, jnp.where(used & ~(variance > 0), jnp.abs(residual) - carried(P.dtype) * size, 0))
         evidence = jnp.where(off > 0, -jnp.inf, peak - 0.5 * distance)
         return Correction(_kept_where(jnp.isnan(evidence), self, Gaussian(center, P)), evidence, peak)
 
@@ -219,6 +220,15 @@ def _kept_where(lost: jax.Array, before: Gaussian, after: Gaussian) -> Gaussian:
     if cov.ndim == lost.ndim + 2:
         cov = jnp.where(lost, old if old.ndim == cov.ndim else old[..., None], cov)
     return Gaussian(jnp.where(lost, before.center, after.center), cov)
+
+
+def _without_rounding(left: jax.Array, exact: jax.Array, gain: jax.Array, H: jax.Array, P: jax.Array) -> jax.Array:
+    """Take out of what a sensor without noise left of P the variances that are rounding: what it says of a state is known for good."""
+    reach = linalg.add(linalg.identity_like(P), linalg.product(jnp.abs(gain), jnp.abs(H)))
+    spread = jnp.sqrt(jnp.maximum(linalg.diagonal_of(P), 0))
+    terms = jnp.square(linalg.times_vector(reach, spread))
+    known = exact & (linalg.diagonal_of(left) <= slack(P.dtype) * terms)
+    return jnp.where(known[:, None] | known[None], 0, left)
 
 
 def _terms(S: jax.Array, exact: jax.Array, H: jax.Array, P: jax.Array) -> jax.Array:
