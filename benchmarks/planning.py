@@ -45,7 +45,7 @@ def seven_of_nine():
 
 
 def terrain():
-    """The terrain scenario of paper 003, its first 100 fixes."""
+    """The terrain scenario of Dahia, Musso, Pham, Guibert (2004), its first 100 fixes."""
     flight = scenario.simulated(0)
     return flight.model, jax.tree.map(lambda leaf: leaf[:100], flight.inputs)
 

@@ -15,7 +15,7 @@ RADAR = {
     "mean": np.array([300.0, 300, 5, -5, 0, 0]),
     "P": np.array([4.0, 4, 16, 16, 0.04, 0.04]),
 }
-"""Range and azimuth of an aircraft, six states (paper 000, section IV); Q, R and P are diagonals."""
+"""Range and azimuth of an aircraft, six states (Karlsson, Schon, Gustafsson 2005, section IV); Q, R and P are diagonals."""
 
 TRACK = {
     "A": np.kron(np.array([[0.95, 0.5], [0, 0.9]]), np.eye(2)),

@@ -54,3 +54,26 @@ def test_every_public_name_is_documented():
         for name in room.__all__:
             assert getattr(getattr(room, name), "__doc__", None), name
             assert re.search(rf"\b{name}\b", prose), f"{name}: not in README.md or docs/"
+
+
+def uncited(text, entries):
+    """Sources `Author, Author 1999` of a text that no entry (surnames, year) has."""
+    surname = r"(?:(?:Del|Van|van der|van|von|de) )?[A-Z][\w\-]+"
+    cited = re.findall(rf"({surname}(?:(?:, | and ){surname})*)(?: et al\.)?(?: [IV]+)?,? \(?((?:19|20)\d\d)\b", text)
+    return {f"{names} {year}" for names, year in cited
+            if not any(year == when and plain(re.split(", | and ", names)[-1]) in authors for authors, when in entries)}  # fmt: skip
+
+
+def plain(name):
+    return name.replace("ö", "o").replace("ä", "a").replace("í", "i").replace("á", "a")
+
+
+def test_sources_are_among_the_references():
+    """Words before a year that are no authors are left out."""
+    bib = (ROOT / "docs" / "references.bib").read_text()
+    known = re.findall(r"author = \{(.*?)\},.*?year = \{(\d+)\}", bib, re.S)
+    entries = [({name.split(",")[0] for name in authors.split(" and ")}, year) for authors, year in known]
+    assert len(entries) > 100 and uncited("(Gordon, Salmond, Smyth 1993)", entries) and uncited("Green 1996", entries)
+    texts = [path.read_text() for path in [*(ROOT / "src").rglob("*.py"), *(ROOT / "docs").rglob("*.md")]]
+    missing = {found for text in texts for found in uncited(text, entries)}
+    assert {one for one in missing if not re.match(r"GRS|CGCS|SeedSequence|Robotics", one)} == set()

@@ -1,6 +1,6 @@
 """The marginalized filter as one writes it at first: `jax.vmap` of `jnp.linalg`, arrays (n, k, k), resampling by searchsorted.
 
-The steps are those of paper 000, Alg. 1, as in ours; only the two positions are particles, of whose noise nothing else depends.
+The steps are Alg. 1 of Karlsson et al. (2005), as in ours; only the two positions are particles, and nothing else depends on their noise.
 """
 
 import jax

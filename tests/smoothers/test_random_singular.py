@@ -51,6 +51,8 @@ def drawn(seed):
     A = 0.95 * turned / np.abs(np.linalg.eigvals(turned)).max() if seed % 3 else np.eye(size) + 0.3 * np.diag(np.ones(size - 1), 1)
     noise = rng.normal(size=(size, int(rng.integers(0, size + 1)))) * 0.5
     blur = rng.normal(size=(seen, int(rng.integers(0, seen + 1))))
+    # so much noise that hundreds of particles are enough
+    blur *= max(1.0, 0.8 / np.linalg.svd(blur, compute_uv=False).min(initial=1.0))
     moves = rng.random(STEPS) > 0.3
     wide = rng.normal(size=(size, size))
     return mo.Gaussian(rng.normal(size=size), wide @ wide.T / size + 0.3 * np.eye(size)), {

@@ -43,7 +43,7 @@ class Bound:
         return jnp.sqrt(self._traces(states))
 
     def overall_rmse(self, states: States) -> jax.Array:
-        """Root of the mean over time of the trace of a block, `()` (paper 000, section IV-B); arguments and errors as for `rmse`."""
+        """Root of the mean over time of the trace of a block, `()` (Karlsson et al. 2005); arguments and errors as for `rmse`."""
         return jnp.sqrt(jnp.mean(self._traces(states)))
 
     def _traces(self, states: States) -> jax.Array:

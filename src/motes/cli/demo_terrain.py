@@ -35,7 +35,7 @@ class Demo:
         route: which of two flights.
         position_noise: random walk of the inertial position error, m/sqrt(s).
         states: of the inertial errors, 9 or 15.
-        study: number of flights on which to compare the filters of paper 003, with numbers of particles of their own; 0 for one flight.
+        study: number of flights on which to compare the filters of Dahia et al. (2004), each with its own particles; 0 for one flight.
     """
 
     n: int = FilterChoice.n
@@ -71,7 +71,7 @@ def main(words: Sequence[str]) -> None:
 
 
 def study(settings: Demo) -> None:
-    """Compare the filters of paper 003 on many flights; writes `study.csv` and `study.png`."""
+    """Compare the filters of Dahia, Musso, Pham, Guibert (2004) on many flights; writes `study.csv` and `study.png`."""
     from motes.applications.terrain_navigation import comparison, scenario
     from motes.cli import running
     from motes.plotting.terrain import comparison_figure

@@ -50,7 +50,7 @@ def effective_size(log_weights: LogWeights) -> Scalar:
 
 
 def entropy_deficit(log_weights: LogWeights) -> Scalar:
-    """Log n minus the entropy of normalized log weights: 0 when equal, log n when one holds all (paper 003, its criterion Ent)."""
+    """Log n minus the entropy of normalized log weights: 0 when equal, log n when one holds all (Dahia et al. 2004, criterion Ent)."""
     terms = jnp.where(jnp.isfinite(log_weights), jnp.exp(log_weights) * log_weights, 0)
     return jnp.log(jnp.asarray(log_weights.shape[0], log_weights.dtype)) + jnp.sum(terms)
 

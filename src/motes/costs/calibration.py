@@ -1,4 +1,4 @@
-"""The constants of this machine: seconds of a flop, and the three costs that Table I of paper 000 cannot count, each by regression.
+"""The constants of this machine: seconds of a flop, and the three costs that Karlsson et al. (2005, Table I) cannot count, by regression.
 
 1. Seconds of a flop: least times of the matrix products that occur in a step, of several sizes and numbers of particles, on their flops.
 2. Seconds of a likelihood, of resampling, of a normal number: least times of these operations on the number of particles.

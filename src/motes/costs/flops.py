@@ -1,4 +1,4 @@
-"""Equivalent flops of the marginalized particle filter (Karlsson, Schon, Gustafsson 2005, "paper 000": Table I, equations 11, 12 and 14).
+"""Equivalent flops of the marginalized particle filter (Karlsson, Schon, Gustafsson 2005: Table I, equations 11, 12 and 14).
 
 A flop is one addition, subtraction, multiplication or division. What cannot be counted, a likelihood, the resampling of a particle, a
 normal number, is charged with the number of flops that take the same time: the constants c1, c2, c3 of a machine (`calibrate` measures

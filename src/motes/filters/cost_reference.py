@@ -1,4 +1,4 @@
-"""Cost-reference particle filter (Miguez, Bugallo, Djuric 2004; paper 004, section 4.2): costs in place of densities of the noises.
+"""Cost-reference particle filter (Miguez, Bugallo, Djuric 2004; Djuric 2004, section 4.2): costs in place of densities of the noises.
 
 1. Risk of each particle: R = lambda C + |y - h(f(x))|^q, what it would cost without noise. Select particles by phi(R), or let each be
    replaced by the neighbor of the lowest risk; a particle keeps its cost C, not its risk.

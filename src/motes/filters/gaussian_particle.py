@@ -1,4 +1,4 @@
-"""Gaussian particle filter (Kotecha, Djuric 2003 I; paper 004, section 4.1): particles carry a Gaussian over each step, nothing resamples.
+"""Gaussian particle filter (Kotecha, Djuric 2003 I; Djuric 2004): particles carry a Gaussian over each step, nothing resamples.
 
 1. Draw particles from the Gaussian of the step before and move them by the dynamics; with `redraw`, keep only their mean and covariance.
 2. Weigh particles, the moved ones or with `redraw` new ones from the predicted Gaussian, by p(y | x).
@@ -32,7 +32,7 @@ class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
     Attributes:
         n: number of particles.
         redraw: weigh new draws from the predicted Gaussian (the general form); otherwise the moved particles themselves, which spares
-            half of the draws and keeps the shape of the prediction (paper 004, steps 1 to 5), but moves only when y is known.
+            half of the draws and keeps the shape of the prediction (Djuric 2004, steps 1 to 5), but moves only when y is known.
     """
 
     starves = True

@@ -1,4 +1,4 @@
-"""Kalman-particle kernel filter (paper 003: Dahia, Musso, Pham, Guibert 2004; equations 3 to 14): a cloud of small Gaussians.
+"""Kalman-particle kernel filter (Dahia, Musso, Pham, Guibert 2004, equations 3 to 14): a cloud of small Gaussians.
 
 1. Start with kernels that are small in the nonlinear states only; in the others each holds the full initial covariance.
 2. Correct each kernel by the Kalman filter of the sensor linearized over it, and its weight by N(y - y_i; 0, H P H' + R).

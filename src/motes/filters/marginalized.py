@@ -1,4 +1,4 @@
-"""Marginalized (Rao-Blackwellized) particle filter (paper 000, Alg. 1; Schon, Gustafsson, Nordlund 2005 for C != 0).
+"""Marginalized (Rao-Blackwellized) particle filter (Karlsson, Schon, Gustafsson 2005, Alg. 1; Schon, Gustafsson, Nordlund 2005 for C != 0).
 
 The states x_k that are linear-Gaussian given the path of the others x_p are carried by one Kalman filter per particle.
 

@@ -1,4 +1,4 @@
-"""Particle filter: sequential importance sampling with resampling (paper 001, equations 10 to 12; Gordon, Salmond, Smith 1993).
+"""Particle filter: sequential importance sampling with resampling (Gordon, Salmond, Smith 1993; Arulampalam, Maskell, Gordon, Clapp 2002).
 
 1. Resample where the policy says so: always is SIR (bootstrap), never is SIS, a threshold is the generic filter.
 2. Move each particle by the dynamics, or by the proposal where one is given.

@@ -1,4 +1,4 @@
-"""Importance densities q(x_t | x_{t-1}, y_t): where particles go once the measurement is known (paper 001, optimal importance density).
+"""Importance densities q(x_t | x_{t-1}, y_t): where particles go once the measurement is known (Doucet, Godsill, Andrieu 2000).
 
 Local proposals replace the model about each particle by a linear-Gaussian one in the normal numbers v of its step x' = f(x) + L v,
 L L' = Q: y is about h + T v + e with e of covariance R, and v is drawn given y. They never leave the span of the process noise, so that a

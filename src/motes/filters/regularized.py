@@ -1,4 +1,4 @@
-"""Regularized particle filter (Musso, Oudjane, LeGland 2001; compared with in paper 003): resampling from a smoothed cloud.
+"""Regularized particle filter (Musso, Oudjane, LeGland 2001; compared with in Dahia et al. 2004): resampling from a smoothed cloud.
 
 1. Resample where the policy says so.
 2. "post": add a draw of a small kernel to each resampled particle, then move it by the dynamics. "pre": the other way round, so that the

@@ -1,4 +1,4 @@
-"""The generalized Markov sampler (Keith, Kroese, Bryant 2004; paper 004, section 3.1).
+"""The generalized Markov sampler (Keith, Kroese, Bryant 2004; Djuric 2004, section 3.1).
 
 A chain of pairs (i, x) of a type of transition and a point. Phi(x) are the types that can be had at x, Psi(i, x) the pairs that a
 transition of type i may lead to; these sets share out the space among them.

@@ -1,4 +1,4 @@
-"""The Gibbs sampler (Geman, Geman 1984; paper 004, section 2.1): each part is drawn from its law given all others."""
+"""The Gibbs sampler (Geman, Geman 1984; Djuric 2004, section 2.1): each part is drawn from its law given all others."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""The contract of Markov chain kernels: one step of a chain that leaves a density as it is (paper 004, section 2.1).
+"""The contract of Markov chain kernels: one step of a chain that leaves a density as it is (Djuric 2004, section 2.1).
 
 A position is a tree of arrays: one array, or a dictionary of named ones. A log density is a function of a position, known up to a
 constant. The density is an argument, never a field: a kernel is a frozen record of its own parameters.
@@ -122,7 +122,7 @@ class Tunable(ABC):
 
 
 def settle(key: jax.Array, state: State, proposed: State, log_ratio: jax.Array) -> tuple[State, Info]:
-    """Go to the proposed state with probability min(1, exp(log_ratio)), else stay (paper 004, equations 5 and 8)."""
+    """Go to the proposed state with probability min(1, exp(log_ratio)), else stay (Djuric 2004, equations 5 and 8)."""
     invalid = jnp.isnan(log_ratio) | (log_ratio == jnp.inf)
     chance = jnp.where(invalid, 0, jnp.exp(jnp.minimum(log_ratio, 0)))
     taken = random.uniform(key, (), chance.dtype) < chance

@@ -1,4 +1,4 @@
-"""Metropolis (1953), Metropolis-Hastings (1970) and independence samplers (paper 004, section 2.1).
+"""Metropolis (1953), Metropolis-Hastings (Hastings 1970) and independence samplers (Djuric 2004, section 2.1).
 
 1. Propose a new position x* from a law pi(.|x).
 2. Go there with probability min(1, p(x*) pi(x|x*) / (p(x) pi(x*|x))), else stay (equations 5 and 6).

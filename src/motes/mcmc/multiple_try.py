@@ -1,4 +1,4 @@
-"""Multiple-try Metropolis (Liu, Liang, Wong 2000; named in paper 004, section 3.2).
+"""Multiple-try Metropolis (Liu, Liang, Wong 2000; named in Djuric 2004, section 3.2).
 
 1. Draw k points y_j from T(x, .); weigh them by w(y, x) = p(y) T(y, x) lambda(y, x) with lambda symmetric; pick y in proportion.
 2. Draw k - 1 reference points from T(y, .), and let x be the k-th.

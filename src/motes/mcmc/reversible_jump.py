@@ -1,4 +1,4 @@
-"""Reversible-jump Markov chain Monte Carlo (Green 1995; paper 004, section 2.1, whose equation 10 lacks the Jacobian).
+"""Reversible-jump Markov chain Monte Carlo (Green 1995; Djuric 2004, section 2.1, whose equation 10 lacks the Jacobian).
 
 1. Choose one of the jumps that are possible here, with probability j(model, x); draw its choice and its u.
 2. Map (model, x, u, choice) to (model', x', u', choice').

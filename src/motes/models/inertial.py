@@ -1,4 +1,4 @@
-"""Inertial navigation: the Earth, how errors grow (psi-angle model, 15 states), and discretization (paper 003, equations 17 to 19).
+"""Inertial navigation: the Earth, how errors grow (psi-angle model, 15 states), and discretization (Dahia et al. 2004, equations 17 to 19).
 
 Axes are north, east, down (NED). An error is what must be ADDED to the inertial value to get the true one. The states, in order:
 

@@ -10,7 +10,7 @@ from motes.models.state_space import StateSpaceModel
 
 
 def radar_tracking(period: float = 0.5) -> StateSpaceModel:
-    """An aircraft of constant acceleration, seen by a radar in range and azimuth (paper 000, equation 13).
+    """An aircraft of constant acceleration, seen by a radar in range and azimuth (Karlsson, Schon, Gustafsson 2005, equation 13).
 
     Position, velocity and acceleration along two axes: m, m/s, m/s^2. The paper prints neither period nor start; these are a target some
     hundred meters away, where the azimuth of 1 mrad is sharp.

@@ -121,7 +121,7 @@ def mixture_log_prob(laws: Sequence[Any], amounts: jax.Array, points: jax.Array)
 
 
 def averaged(log_weights: jax.Array, values: jax.Array, normalized: bool) -> Estimate:
-    """Average values `(m, n)` or `(n,)` under log weights `(n,)` (paper 001: importance sampling).
+    """Average values `(m, n)` or `(n,)` under log weights `(n,)` (importance sampling).
 
     Args:
         log_weights: log of density over proposal; NaN counts as no weight.

@@ -1,4 +1,4 @@
-"""Importance sampling (paper 001; Geweke 1989), from one proposal or several at once (Veach, Guibas 1995)."""
+"""Importance sampling (Geweke 1989), from one proposal or several at once (Veach, Guibas 1995)."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Plain Monte Carlo: averages over draws of a law, and integrals over a box (paper 001)."""
+"""Plain Monte Carlo: averages over draws of a law, and integrals over a box (Robert, Casella 2004, chapter 3)."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Rejection sampling with an envelope that is watched (von Neumann 1951; paper 001)."""
+"""Rejection sampling with an envelope that is watched (von Neumann 1951)."""
 
 from typing import Any, NamedTuple
 

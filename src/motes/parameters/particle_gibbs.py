@@ -1,4 +1,4 @@
-"""Particle Gibbs with ancestor sampling (Andrieu, Doucet, Holenstein 2010; Lindsten, Jordan, Schoen 2014).
+"""Particle Gibbs with ancestor sampling (Andrieu, Doucet, Holenstein 2010; Lindsten, Jordan, Schon 2014).
 
 1. Run a particle filter in which one particle follows the present path.
 2. At each step draw a new ancestor for it, in proportion to w p(x_t | x_{t-1}), which lets its past change.

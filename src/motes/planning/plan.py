@@ -1,4 +1,4 @@
-"""Which states to marginalize and how many particles fit a clock (paper 000, section IV, for any model and machine).
+"""Which states to marginalize and how many particles fit a clock (after Karlsson et al. 2005, section IV, for any model and machine).
 
 1. List the candidates: the plain particle filter, a marginalized one for each set of states that a Kalman filter can carry, the extended
    Kalman filter.

@@ -130,7 +130,7 @@ def error_figure(seconds: np.ndarray, errors: Mapping[str, np.ndarray], deviatio
 
 
 def comparison_figure(seconds: np.ndarray, curves: Mapping[str, np.ndarray], title: str = "") -> Any:
-    """Draw root mean square errors of position and velocity against time, one over the other (figures 2 and 3 of paper 003).
+    """Draw root mean square errors of position and velocity against time, one over the other (figures 2 and 3 of Dahia et al. 2004).
 
     Args:
         seconds: time of each fix, `(t,)`.

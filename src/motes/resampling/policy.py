@@ -39,7 +39,7 @@ class Never(Policy):
 
 @record
 class ESS(Policy):
-    """Resample when the effective sample size falls below a share of n (the generic filter of paper 001).
+    """Resample when the effective sample size falls below a share of n (the generic filter of Arulampalam, Maskell, Gordon, Clapp 2002).
 
     Attributes:
         share: between 0 and 1.
@@ -58,7 +58,7 @@ class ESS(Policy):
 
 @record
 class Entropy(Policy):
-    """Resample when log n minus the entropy of the weights exceeds a threshold (paper 003, criterion Ent).
+    """Resample when log n minus the entropy of the weights exceeds a threshold (Dahia, Musso, Pham, Guibert 2004, criterion Ent).
 
     Attributes:
         threshold: in nats; 0.25 leaves 78 percent of the particles effective, 0.7 half of them.

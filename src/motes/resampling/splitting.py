@@ -34,8 +34,8 @@ class Kernels(ABC):
 class SplitKernels(Kernels):
     """Split each kernel in the nonlinear states only, and only along the directions in which it is too wide.
 
-    Other states move by their correlation with the nonlinear ones, and narrow directions are left alone. (Not in paper 003, whose rule is
-    `CommonKernel`.)
+    Other states move by their correlation with the nonlinear ones, and narrow directions are left alone. (Dahia et al. 2004 have
+    another rule, `CommonKernel`.)
 
     Attributes:
         cap: largest standard deviation of a kernel along any direction, as a share of that of the whole mixture; in (0, 1].
@@ -79,7 +79,7 @@ class SplitKernels(Kernels):
 
 @record
 class CommonKernel(Kernels):
-    """The rule of paper 003: one kernel h^2 Pi for all, Pi being the covariance of the whole mixture, in all states.
+    """The rule of Dahia et al. (2004): one kernel h^2 Pi for all, Pi being the covariance of the whole mixture, in all states.
 
     h is at most h*, the largest h that leaves every P - h^2 Pi a covariance. One kernel that is narrow in one direction thus makes all
     narrow in all directions, and few points are left in many dimensions: on real relief the rule without its guard loses nearly every run.

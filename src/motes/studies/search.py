@@ -1,4 +1,4 @@
-"""How many particles for a given accuracy, or for a given time (paper 000, Tables III and II), by bisection on paired runs."""
+"""How many particles for a given accuracy, or for a given time (Karlsson et al. 2005, Tables III and II), by bisection on paired runs."""
 
 import math
 from collections.abc import Callable

@@ -1,1 +1,1 @@
-"""Terrain-aided navigation: an inertial navigation system, a radio altimeter and a map of heights (paper 003)."""
+"""Terrain-aided navigation: an inertial navigation system, a radio altimeter and a map of heights (Dahia, Musso, Pham, Guibert 2004)."""

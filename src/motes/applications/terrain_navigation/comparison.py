@@ -1,4 +1,4 @@
-"""Several filters on the same simulated flights: runs lost, errors beside the bound, honest covariances, time (paper 003, section V).
+"""Several filters on the same simulated flights: runs lost, errors beside the bound, honest covariances, time (Dahia et al. 2004).
 
 Two rules tell lost runs. At the end: the final horizontal error exceeds `scenario.LOST` meters and six times the bound. The paper's: at
 `IN_A_ROW` fixes one after the other, once half the flight is over, the error lies outside the ellipse that holds 99 percent by the bound;
@@ -96,7 +96,7 @@ class Comparison(NamedTuple):
 
 
 def usual_rivals(model: StateSpaceModel, wide: StateSpaceModel) -> dict[str, Rival]:
-    """Return the filters of paper 003, and the rival that is fair to its Rao-Blackwellized one: with more process noise than there is.
+    """Return the filters of Dahia et al. (2004), and a fair rival of its Rao-Blackwellized one: with more process noise than there is.
 
     Args:
         model: of the flights.

@@ -1,4 +1,4 @@
-"""The fifteen error states of `models.inertial` in straight level flight at constant speed: constant transition and noise (paper 003)."""
+"""Errors of an inertial system in straight level flight (Dahia et al. 2004): `models.inertial` with constant transition and noise."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Errors of an inertial navigation system, seen by a radio altimeter over a map (paper 003; its position noise is the project's choice).
+"""Errors of an inertial navigation system, seen by a radio altimeter over a map (Dahia et al. 2004; the position noise is our choice).
 
 Nine states, north, east, down: position errors rN, rE, rD (m), velocity errors vN, vE, vD (m/s) and slowly varying acceleration errors
 aN, aE, aD (m/s^2); or the fifteen of `models.inertial`, among which are those of position and velocity. An error is what must be ADDED to

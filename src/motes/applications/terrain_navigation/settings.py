@@ -35,7 +35,7 @@ class Prior:
         vertical_acceleration: m/s^2; of nine states only.
         attitude: degrees about each axis; of 15 states only, as what follows.
         accelerometer_bias: m/s^2.
-        gyro_bias: degrees per hour. Paper 003 prints 0.06 degrees per second, which is 216 here: then the gyros alone lead astray by
+        gyro_bias: degrees per hour. Dahia et al. (2004) print 0.06 degrees per second, here 216: then the gyros alone lead astray by
             three kilometers in its two minutes, so that per hour was probably meant.
     """
 
@@ -56,7 +56,7 @@ class Inertial:
 
     Attributes:
         states: 9 (position, velocity and acceleration errors), or 15 (attitude, velocity and position errors, biases of accelerometers and
-            gyros: paper 003 in full, for straight level flight).
+            gyros: Dahia, Musso, Pham, Guibert 2004 in full, for straight level flight).
         grade: noise of the sensors, "navigation", "tactical" or "consumer"; of 15 states only.
     """
 
