@@ -92,6 +92,7 @@ def test_particles_with_modes_beat_constant_velocity_and_equal_interacting_model
         assert np.all(jump.position < plain.position) and np.all(jump.velocity < plain.velocity)
 
 
+@pytest.mark.night
 def test_a_particle_filter_of_constant_velocity_is_lost_and_says_so(flights):
     """With q = 5 m^2/s^3 the first turn loses it in every seed, and from then on no particle explains the plots."""
     few = jax.tree.map(lambda leaf: leaf[:3], flights)

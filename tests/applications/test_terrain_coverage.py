@@ -45,6 +45,7 @@ def test_fixes_off_the_map_are_missing(terrain, leaving):
     assert np.abs(np.asarray(leaving.ys[:, 0] - above)[on][:10]).max() < 5.2 * 15  # ten normal numbers, at a level of 2e-6
 
 
+@pytest.mark.night
 def test_particles_off_the_map_are_over_a_void(terrain, leaving):
     law, heights = leaving.model.sensor, np.asarray(terrain.heights)
     u = Track(*(jnp.float32(value) for value in (terrain.size[0] - 100.0, 15_000.0, 2000.0)))

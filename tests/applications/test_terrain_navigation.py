@@ -37,6 +37,7 @@ def step_of(inputs, step=0):
     return jax.tree.map(lambda leaf: leaf[step], inputs)
 
 
+@pytest.mark.night
 def test_signs_over_a_flat_map(double):
     """Over flat ground only the vertical channel is measured, and linearly: the marginalized filter must give the Kalman filter's law."""
     steps = 30

@@ -22,7 +22,8 @@ KINDS = first_of_kinds(FILTERS)
 """One filter of each kind that the loop sees: of law, and whether it looks ahead."""
 FEW = first_of_kinds(FILTERS, lambda filter: filter.look_ahead)
 """One filter that looks ahead, and one that does not."""
-BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "cut": KINDS, "likelihood": KINDS,
+BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "likelihood": KINDS,
+          **dict.fromkeys(("stream", "unmeasured", "checkpoint", "cut"), KINDS | {"ParticleFilter"}),
           **dict.fromkeys(("vmapped", "inflation", "smallest", "eager", "derivative"), FEW)}  # fmt: skip
 """Filters that are asked a rule by day, all others being asked by night; of rules not named here, those of `CLASSES`."""
 ONE_STATE = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,), "size": 1}

@@ -180,6 +180,7 @@ print(json.dumps(found))
 """
 
 
+@pytest.mark.night
 def test_numbers_do_not_depend_on_sharding():
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=4", "JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
     done = subprocess.run([sys.executable, "-c", SHARDED], capture_output=True, text=True, env=environment)

@@ -39,6 +39,7 @@ def test_ancestors_by_hand():
     assert mo.diagnostics.surviving(history, 1).tolist() == [3, 3] and mo.diagnostics.surviving(history, 2).tolist() == [2]
 
 
+@pytest.mark.night
 def test_variance_of_the_log_likelihood_from_one_run():
     """Its mean over 60 runs is the variance over 400 runs, within 4.9 standard errors of both (multinomial, every step)."""
     _, ys = mo.simulate(3, model(), 12)

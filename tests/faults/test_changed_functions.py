@@ -16,6 +16,7 @@ from motes.filters import run as running
 from motes.models.canonical import canonical
 from motes.tracing import identity
 from motes.tracing.reading import Reading
+from tiers import each
 
 GAIN, TABLE, SETTINGS, FIXED = 0.5, np.array([0.5, 2.0]), {"gains": [1.0, {"first": 0.5}]}, jnp.array([0.5])
 MODULE = types.ModuleType("settings_of_a_test")
@@ -172,7 +173,7 @@ def put_back():
         change(0.5)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", each(list(CASES), {"jitted helper", "body of a loop", "mapped", "callable without hash"}))
 def test_what_has_changed_is_told_apart(name):
     f, change = CASES[name]
     before = known(f)

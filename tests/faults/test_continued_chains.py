@@ -68,6 +68,7 @@ def posterior(ys):
     return mo.parameters.Posterior(mo.Gaussian([0.0], [[1.0]]), model, mo.ParticleFilter(20), ys)
 
 
+@pytest.mark.night
 @pytest.mark.filterwarnings("ignore::motes.MotesWarning")
 def test_estimates_may_differ_by_their_noise():
     few, many = np.zeros((8, 1)), np.full((40, 1), 3.0)

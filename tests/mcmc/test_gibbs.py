@@ -49,6 +49,7 @@ def test_reaches_the_law(scan):
     np.testing.assert_allclose(chains.log_density[0, -1], log_density(jax.tree.map(lambda leaf: leaf[0, -1], chains.positions)), rtol=1e-5)
 
 
+@pytest.mark.night
 def test_blocks():
     def both(key, p):
         # from the law itself, by importance resampling among many draws of the prior: joint, hence independent draws

@@ -10,6 +10,7 @@ from kernels import ELSEWHERE, classes, examples
 
 import motes as mo
 from motes.core import random
+from tiers import each
 
 mcmc = mo.mcmc
 WORLDS, ROUNDS = 6_000, 8
@@ -77,7 +78,11 @@ def joint(kernel, seed=0):
     return x.T, y
 
 
-@pytest.mark.parametrize("name", examples())
+BY_NIGHT = {"RandomWalkMetropolis, factor", "MetropolisHastings", "MultipleTry, plain", "MALA", "NUTS", "Block", "Mix", "Repeat"}
+"""Kernels that others contain, or that are moved by the same steps."""
+
+
+@pytest.mark.parametrize("name", each(list(examples()), BY_NIGHT))
 def test_joint_distribution(name):
     assert furthest(*joint(examples()[name])) < FAR
 

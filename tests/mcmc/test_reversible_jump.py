@@ -142,6 +142,7 @@ def test_a_forgotten_jacobian_is_seen(monkeypatch):
     assert p_values(TEMPLATES["split and merge"], after_jumps(TEMPLATES["split and merge"])).min() < 1e-12
 
 
+@pytest.mark.night
 def test_probabilities_of_jumps_may_differ_between_models():
     prior = TEMPLATES["birth and death"]
     kernel = mcmc.ReversibleJump(prior.jumps(), prior.size, probabilities=lambda model, x: jnp.array([0.0, 1.0 + 0.5 * model]))
@@ -149,6 +150,7 @@ def test_probabilities_of_jumps_may_differ_between_models():
     assert p_values(prior, chains).min() > LEVEL
 
 
+@pytest.mark.night
 def test_selection_of_variables_by_exact_evidence():
     """Linear regression, three candidate variables, unit noise and N(0, 4) slopes: the evidence of each subset is Gaussian."""
     design = np.random.default_rng(3).normal(size=(12, 3)) @ np.array([[1, 0.7, 0], [0, 1, 0.2], [0, 0, 1]])

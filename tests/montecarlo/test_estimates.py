@@ -113,6 +113,7 @@ def test_rejection_is_exact_and_its_evidence_right():
     assert abs(found.log_evidence - 3.0) < 0.1
 
 
+@pytest.mark.night
 def test_a_violated_envelope_is_told():
     with pytest.raises(MotesError, match=r"rejection_sampling log_bound: expected an envelope above the density: at least \d"):
         montecarlo.rejection_sampling(0, unnormalized, WIDE, 4.0, 5_000)

@@ -179,6 +179,7 @@ def test_noises_that_go_together_reach_the_path(kernel):
             refused()
 
 
+@pytest.mark.night
 def test_a_row_without_measurement_tells_a_custom_sensor_nothing():
     known = model(jnp.zeros(2))
     custom = mo.Custom(log_prob=lambda y, x, u, t: -((y[0] - x[0]) ** 2) - 0.5 * jnp.log(jnp.pi), sample=lambda key, x, u, t: x)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import motes as mo
+from tiers import each
 
 YS = np.array([[0.4], [-0.3], [1.9], [0.8]])
 
@@ -23,7 +24,7 @@ def derivatives(filter, runs):
     return np.exp(np.asarray(totals) - exact), np.asarray(slopes)
 
 
-@pytest.mark.parametrize("look_ahead", [False, True])
+@pytest.mark.parametrize("look_ahead", each({"alone": False, "look ahead": True}, {"look ahead"}))
 def test_derivative_of_the_likelihood_is_unbiased(look_ahead, double):
     """E[dZ] = dZ within 4 standard errors over 4000 runs of few particles; without the wrapper it is not."""
     kind = mo.AuxiliaryParticleFilter if look_ahead else mo.ParticleFilter
@@ -71,6 +72,7 @@ def test_transport_of_equal_weights_goes_to_none(double):
     assert far[0] > 2 * far[1] > 8 * far[2] and far[2] < 0.01
 
 
+@pytest.mark.night
 def test_filter_with_transport_has_a_smooth_likelihood(double):
     """The derivative is that of differences: nothing jumps. And it is about that of the Kalman filter."""
     filter = mo.ParticleFilter(n=100, scheme=mo.resampling.EntropicTransport(0.05), policy=mo.resampling.Always())

@@ -139,6 +139,7 @@ def test_a_lag_of_all_steps_is_the_genealogy_and_none_is_the_filter():
     assert genealogy.paths.shape == (STEPS, 2, 300) and lagged.paths is None
 
 
+@pytest.mark.night
 def test_paths_are_joint_draws(double):
     """The covariance of neighbors along drawn paths is that of the exact law; 4 000 paths, level 1e-6."""
     model = linear()
