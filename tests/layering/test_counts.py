@@ -71,3 +71,29 @@ def test_there_is_one_loop_forward_over_time():
     found = {name for name, tree in TREES.items() if list(loops(tree))}
     assert found == set(ELSEWHERE)
     assert list(loops(ast.parse("jax.lax.scan(f, a, b)\nlax.scan(f, a, b, reverse=True)\nfori_loop(0, n, f, a)"))) == [1, 3]
+
+
+FOREIGN = {
+    "laws/law.py": "an object of another library that samples and has a density",
+    "laws/spelled.py": "records among the names of a file",
+    "tracing/reading.py": "whatever a user's function reads",
+    "tracing/identity.py": "records of ours among them",
+    "core/told.py": "what wraps a user's function",
+    "core/record.py": "named tuples",
+    "mcmc/pseudo_marginal.py": "a density of the user's that can be estimated",
+    "mcmc/sample.py": "a density of the user's that can be estimated",
+    "mcmc/interface.py": "a position of the user's",
+    "mcmc/reversible_jump.py": "a position of the user's",
+    "studies/run.py": "what the operating system knows",
+}
+"""Files that ask what an object of somebody else's can do. What ours can do they say by attributes of their class."""
+
+
+def asked_by_attribute(tree):
+    """Lines that ask whether something has an attribute."""
+    return [node.lineno for node in ast.walk(tree) if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "hasattr"]
+
+
+def test_nobody_asks_ours_for_an_attribute():
+    assert {name for name, tree in TREES.items() if asked_by_attribute(tree)} == set(FOREIGN)
+    assert asked_by_attribute(ast.parse("x = 1\nhasattr(x, 'n')")) == [2]

@@ -12,7 +12,6 @@ from motes.bounds.bound import Bound
 from motes.core import checks
 from motes.core.loop import loop, with_first
 from motes.core.types import Inputs
-from motes.gaussian.rule import has_moments
 from motes.gaussian.taylor import Taylor, affine
 from motes.laws.gaussian import Gaussian
 from motes.models.canonical import canonical, one_of
@@ -42,7 +41,7 @@ def kalman_at_truth(model: Any, xs: jax.Array, inputs: Inputs = None) -> Bound:
     given = as_state_space("kalman_at_truth", model)
     for name in ("dynamics", "sensor"):
         part = getattr(given, name)
-        if not has_moments(part):
+        if not part.has_moments:
             checks.refuse(f"kalman_at_truth {name}", "a mean function and a noise covariance (it uses the Jacobian)", type(part).__name__)
     if given.correlated:
         checks.refuse("kalman_at_truth model", "independent process and measurement noise", "noise_cross_cov")

@@ -69,7 +69,7 @@ def nis(history: History) -> jax.Array:
     Raises:
         MotesError: the filter's law has weights (its innovation is no one number).
     """
-    if hasattr(history.state, "log_weights"):
+    if history.state.weighted:
         checks.refuse("nis history", "a run of a Kalman filter of some kind", type(history.state).__name__, "mo.diagnose looks at any run.")
     return 2 * history.info.gap
 

@@ -20,7 +20,6 @@ from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, un
 from motes.filters.needs import as_particle_model
 from motes.filters.proposals import Proposal, as_proposal
 from motes.filters.sharp import ask_noise, conditions_exactly, first_weighed
-from motes.gaussian.rule import has_moments
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models.state_space import StateSpaceModel
@@ -75,7 +74,7 @@ class AuxiliaryParticleFilter(LookAheadFilter):
             MotesError: one is missing.
         """
         model = as_particle_model("AuxiliaryParticleFilter", model, transition_density=isinstance(self.proposal, Conditional))
-        if not has_moments(model.dynamics):
+        if not model.dynamics.has_moments:
             checks.refuse("AuxiliaryParticleFilter dynamics", "a mean function (particles are scored at it)", type(model.dynamics).__name__,
                           "Use a ParticleFilter.")
         self._moves.check("AuxiliaryParticleFilter", model, u)

@@ -129,7 +129,7 @@ class Filter(ABC):
         state = jax.tree.map(lambda old, new: jnp.where(refused, old, new), fallback, after)
         silent = {name: jnp.where(unused, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest", "gap")}
         silent |= {name: jnp.where(missing, 0, getattr(info, name)) for name in ("nis", "freedom")}
-        if hasattr(before, "log_weights"):
+        if before.weighted:
             silent["ess"] = jax.lax.cond(refused, lambda: logspace.effective_size(before.log_weights), lambda: info.ess)
         return state, replace(info, collapsed=info.collapsed & ~missing, **silent)
 

@@ -36,10 +36,9 @@ def modes(law: Any, count: int = 0) -> dict[str, jax.Array]:
     Raises:
         MotesError: the law knows no modes.
     """
-    if hasattr(law, "mode_probabilities"):
-        return {**moments(law), "mode_probabilities": law.mode_probabilities()}
-    if count and hasattr(law, "chances"):
-        return {**moments(law), "mode_probabilities": law.chances(count)}
+    found = law.mode_probabilities(count)
+    if found is not None:
+        return {**moments(law), "mode_probabilities": found}
     given = f"one whose law is a {type(law).__name__}" + ("" if count else ", of a model without modes")
     checks.refuse("keep.modes", "a filter of jump-Markov systems, or a cloud of a joined model", given)
 

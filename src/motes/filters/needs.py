@@ -3,8 +3,7 @@
 from typing import Any
 
 from motes.core import checks
-from motes.gaussian.rule import has_moments
-from motes.laws.conditional import Conditional, Custom
+from motes.laws.conditional import AdditiveNoise, Conditional, Custom
 from motes.models import jump_markov
 from motes.models.interface import Model
 from motes.models.jump_markov import JumpMarkovModel
@@ -86,7 +85,7 @@ def as_jump_markov(asked_by: str, model: Any) -> JumpMarkovModel:
 def _check_moments(asked_by: str, model: StateSpaceModel) -> None:
     for name in ("dynamics", "sensor"):
         part = getattr(model, name)
-        if not has_moments(part):
+        if not part.has_moments:
             hint = "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter."
-            given = type(part).__name__ + (" with a law of sample and log_prob alone" if hasattr(part, "law") else "")
+            given = type(part).__name__ + (" with a law of sample and log_prob alone" if isinstance(part, AdditiveNoise) else "")
             checks.refuse(f"{asked_by} {name}", "a mean function and a noise covariance", given, hint)

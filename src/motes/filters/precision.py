@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import linalg
-from motes.gaussian.rule import has_moments
 from motes.gaussian.taylor import affine
 from motes.laws.law import Foreign
 from motes.models.interface import Model
@@ -30,7 +29,7 @@ def rounding(model: Model, ys: jax.Array, u: Any) -> jax.Array:
         u: inputs of the first step.
     """
     models = model.each_mode()
-    found = [_of_one(part, ys, u) for part in models if has_moments(part.sensor) and not isinstance(part.initial, Foreign)]
+    found = [_of_one(part, ys, u) for part in models if part.sensor.has_moments and not isinstance(part.initial, Foreign)]
     return jnp.max(jnp.stack(found), axis=0) if found else jnp.zeros((2, ys.shape[1]), ys.dtype)
 
 

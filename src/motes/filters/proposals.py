@@ -15,7 +15,6 @@ import numpy as np
 
 from motes.core import checks, linalg, random
 from motes.core.record import record
-from motes.gaussian.rule import has_moments
 from motes.gaussian.sigma_points import regressed_on
 from motes.gaussian.taylor import affine
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over, over_particles
@@ -153,7 +152,7 @@ class LocalProposal(Proposal):
         if not isinstance(model.dynamics, AdditiveGaussian):
             checks.refuse(f"{asked_by} dynamics", f"additive Gaussian noise ({name} bends it)", type(model.dynamics).__name__,
                           "Use no proposal, or a conditional of your own.")
-        if not has_moments(model.sensor):
+        if not model.sensor.has_moments:
             checks.refuse(f"{asked_by} sensor", f"a mean function and a noise covariance ({name} looks at them)",
                           type(model.sensor).__name__, "Use no proposal, or a conditional of your own.")
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, linalg
-from motes.laws.conditional import AdditiveGaussian, Conditional
+from motes.laws.conditional import Conditional
 from motes.laws.density import measured_in
 from motes.laws.gaussian import Correction, Gaussian
 
@@ -99,8 +99,3 @@ def check_rule(asked_by: str, rule: Any) -> None:
         MotesError: the message names the parameter.
     """
     checks.instance(f"{asked_by} rule", rule, Rule, "a rule such as mo.gaussian.Cubature()").check(asked_by)
-
-
-def has_moments(part: Conditional) -> bool:
-    """Tell whether a conditional has a mean function and a covariance."""
-    return isinstance(part, AdditiveGaussian) or (hasattr(part, "law") and part.law.has_moments)  # type: ignore[attr-defined]

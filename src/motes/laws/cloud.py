@@ -41,6 +41,7 @@ class Cloud(Law):
         ancestors: index of each particle's parent at the step before, `(n,)` int32.
     """
 
+    weighted = marks_ancestors = True
     particles: jax.Array
     log_weights: jax.Array
     ancestors: jax.Array
@@ -64,9 +65,9 @@ class Cloud(Law):
         """Weighted covariance, `(x, x)`."""
         return weighted_moments(self.log_weights, self.particles)[1]
 
-    def chances(self, count: int) -> jax.Array:
-        """Probabilities `(count,)` of so many modes, the index of which is the last state (see `JumpMarkovModel.joined`)."""
-        return shares(number_of(self.particles[-1], count), self.weights, count)
+    def mode_probabilities(self, count: int = 0) -> jax.Array | None:
+        """Probabilities of the modes, `(count,)`; see `Law`."""
+        return shares(number_of(self.particles[-1], count), self.weights, count) if count else None
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n particles with replacement, `(x, n)`."""

@@ -6,7 +6,7 @@ or such a function. Methods that take `X` work on a whole cloud `(x, n)`.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -47,6 +47,10 @@ class Conditional(ABC):
     angles: tuple[int, ...] = ()
     modes: int = 0
     """Number of modes of a jump-Markov system, the index of which is then the last component; 0 where none is."""
+    is_additive: ClassVar[bool] = False
+    """Whether a value is f(x, u, t) and noise."""
+    has_moments: bool = False
+    """Whether mean function and noise covariance are known."""
     marginalizes: bool = True
     """Whether single missing (NaN) components can be left out of the density."""
 
@@ -128,6 +132,8 @@ class AdditiveGaussian(Conditional):
         Q: covariance `(z, z)` in squared units of z, or a function that returns it.
         angles: components of z that are angles in radians: differences are wrapped.
     """
+
+    is_additive = has_moments = True
 
     f: UserFunction
     Q: MatrixLike
@@ -231,6 +237,7 @@ class AdditiveNoise(Conditional):
         angles: components of z that are angles in radians.
     """
 
+    is_additive = True
     f: UserFunction
     law: Law
     angles: tuple[int, ...] = static(default=())
@@ -247,9 +254,14 @@ class AdditiveNoise(Conditional):
         object.__setattr__(self, "angles", tuple(angles))
 
     @property
+    def has_moments(self) -> bool:  # type: ignore[override]
+        """Whether those of the noise are known."""
+        return self.law.has_moments
+
+    @property
     def marginalizes(self) -> bool:  # type: ignore[override]
         """Only noise with independent components, or a Gaussian mixture, can leave one out."""
-        return self.law.independent or hasattr(self.law, "parts")
+        return self.law.independent or self.law.marginalizes
 
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Return the law given one state."""

@@ -24,6 +24,7 @@ class CostCloud(Law):
         at_least_cost: whether the mean is the particle of the smallest cost, not the weighted mean.
     """
 
+    weighted = marks_ancestors = True
     particles: jax.Array
     log_weights: jax.Array
     ancestors: jax.Array

@@ -1,7 +1,7 @@
 """What every law answers, and what a foreign distribution is turned into."""
 
 from abc import ABC, abstractmethod
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +15,15 @@ class Law(ABC):
     """A probability law of a vector of x components."""
 
     independent: bool = False
-    """Whether the components are independent, so that missing ones can be left out."""
+    """Whether the components are independent."""
+    marginalizes: bool = False
+    """Whether the density can leave out components that are missing (NaN); of independent ones it can."""
     has_moments: bool = True
     """Whether mean and covariance are known; a law that has none refuses to tell them."""
+    weighted: ClassVar[bool] = False
+    """Whether the law is made of weighted parts, of normalized `log_weights` `(n,)`."""
+    marks_ancestors: ClassVar[bool] = False
+    """Whether its `ancestors` `(n,)` say which part each came from."""
 
     @abstractmethod
     def mean(self) -> jax.Array:
@@ -34,6 +40,14 @@ class Law(ABC):
     def log_prob(self, value: jax.Array) -> jax.Array:
         """Log density at points `(x, *n)`, as `(*n)`."""
         refuse(type(self).__name__, "a law with a density", "one that can only be sampled", "Give it a log_prob.")
+
+    def mode_probabilities(self, count: int = 0) -> jax.Array | None:
+        """Probabilities `(m,)` of the modes of a jump-Markov system; None of a law that knows none.
+
+        Args:
+            count: how many modes there are, where the last state is the index of one (see `JumpMarkovModel.joined`); 0 where it is not.
+        """
+        return None
 
     def gathered(self, angles: tuple[int, ...]) -> Self:
         """Return the law with what it averages on one branch of the states named, which are angles; see `laws/circular.py`.

@@ -23,6 +23,7 @@ class MarginalCloud(Law):
         order: for each state in the user's order, its place in (x_p, x_k).
     """
 
+    weighted = marks_ancestors = True
     particles: jax.Array
     kalman: Gaussian
     log_weights: jax.Array

@@ -35,6 +35,7 @@ class Mixture(Law):
         log_weights: normalized, `(n,)`.
     """
 
+    weighted = marginalizes = True
     parts: Gaussian
     log_weights: jax.Array
 

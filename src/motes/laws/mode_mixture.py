@@ -21,7 +21,7 @@ class ModeMixture(Mixture):
     modes: jax.Array
     count: int = static()
 
-    def mode_probabilities(self) -> jax.Array:
+    def mode_probabilities(self, count: int = 0) -> jax.Array:
         """Probabilities of the modes, `(m,)`."""
         return shares(self.modes, self.weights, self.count)
 

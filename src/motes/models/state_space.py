@@ -15,7 +15,7 @@ from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, MatrixLike
 from motes.laws.circular import near
-from motes.laws.conditional import AdditiveGaussian, Conditional, Custom, check_matrix
+from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom, check_matrix
 from motes.laws.law import Law, as_law, check_size, drawn
 from motes.models.correlated import Drive, decorrelated
 from motes.models.interface import Model, Wrap, exchanged
@@ -105,18 +105,17 @@ class StateSpaceModel(Model):
         for name, part, expected in (("dynamics", self.dynamics, self.size), ("sensor", self.sensor, None)):
             if isinstance(part, AdditiveGaussian):
                 _check_moments(name, part, x, inputs_of_step, t, expected)
-            elif hasattr(part, "f"):
+            elif isinstance(part, AdditiveNoise):
                 found = _predicted(part, x, inputs_of_step, t)
                 checks.shape(f"{name} f(x, u, t)", jnp.zeros(found), (expected,))
-                if hasattr(part, "law"):
-                    check_size(f"{name} law", getattr(part, "law"), found[0])  # noqa: B009
+                check_size(f"{name} law", part.law, found[0])
             elif isinstance(part, Custom) and part.sampler is not None and expected is not None:
                 found = jax.eval_shape(lambda x, u, t, part=part: part.sample(random.as_key(0), x[:, None], u, t), x, inputs_of_step, t)
                 checks.shape(f"{name} sample(key, x, u, t)", jnp.zeros(found.shape[:-1]), (expected,))
 
     def measurement_size(self, inputs_of_step: Inputs) -> int | None:
         """Return the number of measured components, or None where only the data can tell (a custom density)."""
-        if not hasattr(self.sensor, "f"):
+        if not self.sensor.is_additive:
             return None
         x = jax.ShapeDtypeStruct((self.size,), self.dtype)
         return _predicted(self.sensor, x, inputs_of_step, jax.ShapeDtypeStruct((), jnp.int32))[0]

@@ -14,7 +14,7 @@ import numpy as np
 
 from motes.core.record import record, static
 from motes.core.types import Inputs
-from motes.laws.conditional import AdditiveGaussian, Conditional, Custom
+from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom
 from motes.laws.gaussian import Gaussian
 from motes.models.canonical import canonical
 from motes.models.mixed_linear import MixedLinearModel
@@ -130,7 +130,7 @@ def _states_in_density(part: Conditional, x: Any, u: Any, t: Any) -> np.ndarray:
     """States that a density which is not Gaussian looks at."""
     if isinstance(part, Custom) and part.density is None:
         return np.ones(x.shape[0], bool)
-    if hasattr(part, "f"):
+    if isinstance(part, AdditiveNoise):
         found = dependence(lambda part, x, u, t: part.f(x, u, t), (part, x, u, t), ("fixed", "elements", "whole", "whole"))
         return found.uses.reshape(-1, x.shape[0] + 2).any(axis=0)[: x.shape[0]]
     return np.ones(x.shape[0], bool)

@@ -83,7 +83,7 @@ def resample_and_move(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, clo
         return eval_jaxpr(program.jaxpr, consts, *(lane[..., ancestors] for lane in lanes))[: len(lanes)]
 
     moved = blocks.differentiable(native, pure)(stage.words, ancestors, parts.lanes, program.consts)
-    marks = {"ancestors": ancestors} if hasattr(cloud, "ancestors") else {}
+    marks = {"ancestors": ancestors} if cloud.marks_ancestors else {}
     return replace(parts.together(cloud, [*moved, *stage.rest]), log_weights=log_weights, **marks)
 
 

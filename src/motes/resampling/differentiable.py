@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from motes.core import checks
 from motes.core.record import record, static
+from motes.laws.cloud import Cloud
 from motes.resampling.schemes import Scheme, Systematic, W, weighted_anew
 
 
@@ -69,7 +70,7 @@ class EntropicTransport(Scheme):
 
     def resampled(self, key: jax.Array, cloud: Any, first: jax.Array | None) -> Any:
         """See `Scheme`; each particle is its own ancestor."""
-        if first is not None or not hasattr(cloud, "transported"):
+        if first is not None or not isinstance(cloud, Cloud):
             checks.refuse("EntropicTransport", "a filter with a Cloud that does not look ahead by scores",
                           "one with scores" if first is not None else type(cloud).__name__, "Use Systematic.")
         return cloud.transported(self.plan(cloud.log_weights, cloud.particles))

@@ -136,7 +136,7 @@ def ask_kind(asked_by: str, history: History, *kinds: type[Law]) -> None:
 def summed_up(log_weights: jax.Array, X: jax.Array, modes: int) -> tuple[jax.Array, jax.Array, jax.Array | None]:
     """Mean `(x,)` and covariance `(x, x)` of points `(x, n)`, and the probabilities of modes that are the last state, if there are any."""
     cloud = Cloud(X, log_weights, jnp.arange(X.shape[-1], dtype=jnp.int32))
-    return *weighted_moments(log_weights, X), cloud.chances(modes) if modes else None
+    return *weighted_moments(log_weights, X), cloud.mode_probabilities(modes)
 
 
 def ask_backward_density(asked_by: str, model: StateSpaceModel, descends: bool = True) -> None:

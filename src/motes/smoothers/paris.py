@@ -38,6 +38,7 @@ class AdditiveCloud(Law):
         sums: expected sums given each particle, `(d, n)`.
     """
 
+    weighted = True
     cloud: Cloud
     sums: jax.Array
 
@@ -58,9 +59,9 @@ class AdditiveCloud(Law):
         """Covariance of the state, `(x, x)`."""
         return self.cloud.cov()
 
-    def chances(self, count: int) -> jax.Array:
-        """Probabilities of modes, `(count,)`; see `Cloud.chances`."""
-        return self.cloud.chances(count)
+    def mode_probabilities(self, count: int = 0) -> jax.Array | None:
+        """Probabilities of the modes, `(count,)`; see `Law`."""
+        return self.cloud.mode_probabilities(count)
 
     def gathered(self, angles: tuple[int, ...]) -> "AdditiveCloud":
         """Return the law with particles on one branch of the states that are angles; the sums are the user's."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from motes.core import checks
-from motes.core.record import record, replace, static
+from motes.core.record import record, replace, static, values
 from motes.studies.experiment import Experiment
 from motes.studies.run import study
 from motes.studies.tables import accuracy, difference
@@ -103,7 +103,7 @@ def _checked(experiment: Experiment, filter: str, block: str, target: Any, betwe
     checks.option("particles_for_rmse block", block, tuple(name for name, _ in experiment.blocks))
     _check_range("particles_for_rmse between", between)
     own = experiment.assumed(filter)[0]
-    if not hasattr(own, "n"):
+    if "n" not in values(own):
         checks.refuse("particles_for_rmse filter", "a filter with a number of particles n", type(own).__name__)
     if isinstance(target, str):
         checks.option("particles_for_rmse target", target, tuple(name for name in experiment.filters if name != filter))
