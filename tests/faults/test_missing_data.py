@@ -76,7 +76,7 @@ def at_the_loop(monkeypatch):
     monkeypatch.setattr(running, "_run", see(3))
     monkeypatch.setattr(parallel, "_run", see(1))
     monkeypatch.setattr(smoothing, "_smooth", see(4))
-    monkeypatch.setattr(stream, "_begin", lambda *args: args)
+    monkeypatch.setattr(stream, "_start", lambda *args: args)
     monkeypatch.setattr(stream, "_take_in", see(3))
 
 

@@ -1,6 +1,7 @@
 """What is counted in the source: kinds of models asked for by name, loops over time."""
 
 import ast
+from collections import Counter
 
 from sources import SOURCE
 
@@ -97,3 +98,18 @@ def asked_by_attribute(tree):
 def test_nobody_asks_ours_for_an_attribute():
     assert {name for name, tree in TREES.items() if asked_by_attribute(tree)} == set(FOREIGN)
     assert asked_by_attribute(ast.parse("x = 1\nhasattr(x, 'n')")) == [2]
+
+
+COMMON = {"main": "of each command", "score": "of each application's runs"}
+"""Names that many files give to a function because it is the same thing in each."""
+
+
+def repeated(trees):
+    """Names that three files or more give to a function of their own."""
+    names = Counter(name for tree in trees for name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)})
+    return {name for name, count in names.items() if count > 2} - {"_"}
+
+
+def test_no_name_is_three_things():
+    assert repeated(TREES.values()) == set(COMMON)
+    assert repeated([ast.parse("def told(): pass")] * 3) == {"told"}

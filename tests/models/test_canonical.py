@@ -69,7 +69,7 @@ CASES = {
 
 @pytest.mark.parametrize(("build", "make"), CASES.values(), ids=CASES.keys())
 def test_rebuilt_models_compile_nothing_anew(build, make):
-    programs = (running._run, simulating._simulate, streaming._begin, streaming._move, streaming._take_in, streaming._step)
+    programs = (running._run, simulating._simulate, streaming._start, streaming._move, streaming._take_in, streaming._advance)
 
     def everything():
         ys = np.array(mo.simulate(1, build(), 6)[1])

@@ -36,14 +36,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     if arguments is not None:
-        return _run(list(arguments))
+        return _dispatch(list(arguments))
     words = sys.argv[1:]
     interruption.heed(" ".join(["motes", *(word for word in words[:1] if word in COMMANDS)]))
-    code = _run(words)
+    code = _dispatch(words)
     interruption.leave(code)
 
 
-def _run(words: list[str]) -> int:
+def _dispatch(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help"):
         print(_usage())
         return 0

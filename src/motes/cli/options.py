@@ -89,7 +89,7 @@ def from_toml(kind: type[Settings], path: str) -> Settings:
         if text.count(".") > DOTS:
             reject(path, f"a TOML file with at most {DOTS} points", text.count("."))
         table = tomllib.loads(text)
-    return _filled(kind, table, Path(path), "")
+    return _from_table(kind, table, Path(path), "")
 
 
 def from_file_and_flags(kind: type[Settings], words: Sequence[str], usage: str) -> Settings:
@@ -129,7 +129,7 @@ def first_and_flags(default: Any, words: Sequence[str], usage: str, expected: st
     return words[0], words[1:]
 
 
-def _filled(kind: Any, table: dict[str, Any], path: Path, place: str) -> Any:
+def _from_table(kind: Any, table: dict[str, Any], path: Path, place: str) -> Any:
     fields = {field.name: field for field in dataclasses.fields(kind)}
     hints = typing.get_type_hints(kind)
     where = f"{path.name}: [{place}]" if place else path.name
@@ -140,7 +140,7 @@ def _filled(kind: Any, table: dict[str, Any], path: Path, place: str) -> Any:
         if dataclasses.is_dataclass(hints[key]):
             if not isinstance(value, dict):
                 refuse(f"{where} {key}", f"a table [{key}]", shown(value))
-            given[key] = _filled(hints[key], value, path, f"{place}.{key}" if place else key)
+            given[key] = _from_table(hints[key], value, path, f"{place}.{key}" if place else key)
             continue
         given[key] = _value(hints[key], value, f"{where} {key}")
         if fields[key].metadata.get("path"):

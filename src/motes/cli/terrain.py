@@ -38,7 +38,7 @@ def fly(flight: scenario.Flight, filters: Mapping[str, Filter], seed: int, setti
     print(roughness(flight.model, flight.inputs))
     outcomes = running.race(seed, filters, flight.model, flight.ys, flight.inputs)
     scores = {name: scenario.score(outcome.history, flight) for name, outcome in outcomes.items()}
-    found = {name: running.results(outcome) | _told(scores[name]) for name, outcome in outcomes.items()}
+    found = {name: running.results(outcome) | _scores(scores[name]) for name, outcome in outcomes.items()}
     head = ("filter", "n", "final, m", "median, m", "ESS", "ms/step")
     rows = [
         (name, str(outcome.filter.n), running.number(found[name].get("final_error_m"), 1),  # type: ignore[attr-defined]
@@ -57,7 +57,7 @@ def fly(flight: scenario.Flight, filters: Mapping[str, Filter], seed: int, setti
     return folder
 
 
-def _told(score: scenario.Score | None) -> dict[str, Any]:
+def _scores(score: scenario.Score | None) -> dict[str, Any]:
     return {} if score is None else {"final_error_m": score.final, "median_error_m": score.median, "lost": score.lost}
 
 

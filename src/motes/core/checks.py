@@ -100,7 +100,7 @@ def as_numbers(argument: str, value: Any, expected: str = "an array of numbers")
     except (TypeError, ValueError):
         refuse(argument, expected, type(value).__name__)
     if array.dtype == object:
-        array = np.array([_number(argument, item, place, expected) for place, item in np.ndenumerate(array)]).reshape(array.shape)
+        array = np.array([_as_number(argument, item, place, expected) for place, item in np.ndenumerate(array)]).reshape(array.shape)
     known = np.issubdtype(array.dtype, np.number) or array.dtype == bool or jnp.issubdtype(array.dtype, jnp.floating)
     if not known or np.issubdtype(array.dtype, np.complexfloating) or np.issubdtype(array.dtype, np.timedelta64):
         refuse(argument, expected, f"dtype {array.dtype}")
@@ -120,7 +120,7 @@ def _unmasked(value: Any) -> Any:
     return items
 
 
-def _number(argument: str, item: Any, place: tuple[int, ...], expected: str) -> float:
+def _as_number(argument: str, item: Any, place: tuple[int, ...], expected: str) -> float:
     if item is None or type(item).__name__ in ("NAType", "NaTType") or (isinstance(item, np.datetime64) and np.isnat(item)):
         return np.nan
     try:

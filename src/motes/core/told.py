@@ -31,18 +31,18 @@ def called(role: str, function: Callable[..., Any], *args: Any) -> Any:
     except MotesError:
         raise
     except Exception as reason:
-        raise MotesError(_line(role, function, args, reason)) from None
+        raise MotesError(_message(role, function, args, reason)) from None
     if found is None:
-        raise MotesError(f"{role}: expected a result, got None from {_place(function)}. Does it end in return?")
+        raise MotesError(f"{role}: expected a result, got None from {_source_of(function)}. Does it end in return?")
     return found
 
 
-def _line(role: str, function: Any, args: tuple[Any, ...], reason: Exception) -> str:
+def _message(role: str, function: Any, args: tuple[Any, ...], reason: Exception) -> str:
     given = _does_not_take(function, args)
     if given:
         hint = "It must take all of them; those that it does not need may stay unused."
-        return f"{role}: expected a function of {len(args)} arguments, got {given} at {_place(function)}. {hint}"
-    where, source = _frame(reason.__traceback__) or (_place(function), "")
+        return f"{role}: expected a function of {len(args)} arguments, got {given} at {_source_of(function)}. {hint}"
+    where, source = _frame(reason.__traceback__) or (_source_of(function), "")
     first = (str(reason).strip().splitlines() or [""])[0]
     shown = f' ("{source[:LONGEST_LINE]}")' if source else ""
     told = f"{role}: expected a function that JAX can trace, got {type(reason).__name__} at {where}{shown}: {first[:120]}"
@@ -74,7 +74,7 @@ def _frame(trace: TracebackType | None) -> tuple[str, str] | None:
     return found
 
 
-def _place(function: Any) -> str:
+def _source_of(function: Any) -> str:
     """Return where a function is written."""
     while hasattr(function, "func") or hasattr(function, "__wrapped__"):
         function = function.func if hasattr(function, "func") else function.__wrapped__

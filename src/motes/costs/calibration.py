@@ -141,10 +141,10 @@ def calibrate(model: Any = None, refresh: bool = False, inputs: Inputs = None) -
     model = as_state_space("calibrate", radar_tracking() if model is None else model)
     device = f"{jax.devices()[0].platform} {jax.devices()[0].device_kind}"
     operations = _operations(model, inputs)
-    place = _place(operations, device)
+    place = _file_of(operations, device)
     table = None if refresh or place is None else _recalled(place)
     if table is None:
-        table = np.array([dataclasses.astuple(_measured(name, operations[name])) for name in PARTS])
+        table = np.array([dataclasses.astuple(_regressed(name, operations[name])) for name in PARTS])
         if place is not None:
             archive.write_tree(place, {"table": table}, {"engine": engine.chosen(), "device": device}, kind="calibration")
     return Calibration(*(Slope(*row) for row in table.tolist()), engine=engine.chosen(), device=device)
@@ -186,7 +186,7 @@ def _operations(model: StateSpaceModel, inputs: Inputs) -> dict[str, list[Operat
     }
 
 
-def _measured(name: str, operations: list[Operation]) -> Slope:
+def _regressed(name: str, operations: list[Operation]) -> Slope:
     units, seconds = [], []
     for operation in operations:
         compiled = jax.jit(operation.function)
@@ -201,7 +201,7 @@ def _measured(name: str, operations: list[Operation]) -> Slope:
     return slope
 
 
-def _place(operations: dict[str, list[Operation]], device: str) -> Path | None:
+def _file_of(operations: dict[str, list[Operation]], device: str) -> Path | None:
     """Return the file for these operations on this machine, or None where nothing can be kept."""
     folder = private_folder("calibrations")
     if folder is None:

@@ -100,14 +100,14 @@ class AuxiliaryParticleFilter(LookAheadFilter):
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
         """Resample by the scores where needed, then move by the proposal."""
         resample_key, noise_key = keys_of(key)
-        score = _told(self._moves.score(model, state.particles, y, u, t))
+        score = _finite_scores(self._moves.score(model, state.particles, y, u, t))
         parents = resample(resample_key, self.scheme, self.policy, state, score)
         after, info = guided(noise_key, self._moves, model, parents, y, u, t)
         info = with_innovation(info, unguided_innovation(noise_key, model, state, y, u, t))
         return Ahead(after, info, lambda: unguided(noise_key, model, resample(resample_key, self.scheme, self.policy, state), u, t))
 
 
-def _told(score: jax.Array) -> jax.Array:
+def _finite_scores(score: jax.Array) -> jax.Array:
     """Let scores that are no finite numbers count as the lowest that is: they tell nothing, and no particle may be left out for certain."""
     finite = jnp.isfinite(score)
     lowest = jnp.min(jnp.where(finite, score, jnp.inf))

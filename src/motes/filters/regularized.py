@@ -131,11 +131,11 @@ class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
         proposed = smooth(random.child(noise_key, random.NOISE), blind.particles)
         chance = random.uniform(random.child(key, random.UPDATE), (self.n,), proposed.dtype)
         accepted = jnp.log(1 - chance) < log_target(proposed) - log_target(blind.particles)
-        accepted &= _filled(model, parents.particles, u, t)
+        accepted &= _noisy_everywhere(model, parents.particles, u, t)
         return Ahead(replace(after, particles=jnp.where(accepted, proposed, blind.particles)), info, lambda: blind)
 
 
-def _filled(model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array | bool:
+def _noisy_everywhere(model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array | bool:
     """Tell where the dynamics have noise in every direction: elsewhere no proposal lies on the support of what it is to replace."""
     if not isinstance(model.dynamics, AdditiveGaussian):
         return True

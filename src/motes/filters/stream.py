@@ -31,7 +31,7 @@ def _ready(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Setup:
 
 
 @partial(jitted, static_argnums=0)
-def _begin(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Carry:
+def _start(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Carry:
     with report.collected():
         return _ready(form, parts, u, y).start(u, y)
 
@@ -52,7 +52,7 @@ def _take_in(form: Any, parts: list[Any], carry: Carry, y: jax.Array) -> tuple[C
 
 
 @partial(jitted, static_argnums=0)
-def _step(form: Any, parts: list[Any], carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
+def _advance(form: Any, parts: list[Any], carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
     with report.collected():
         return _ready(form, parts, u, y).step(carry, y, u)
 
@@ -100,7 +100,7 @@ class Stream:
         y = self._checked(y)
         carry = self._opened(y)
         if self._pending:
-            carry, info = _step(self._form, self._parts, carry, y, self._pending[-1])
+            carry, info = _advance(self._form, self._parts, carry, y, self._pending[-1])
         else:
             carry, info = _take_in(self._form, self._parts, carry, y)
         if self.filter.on_collapse == "raise" and bool(info.collapsed):
@@ -131,7 +131,7 @@ class Stream:
         if self._pending:
             carry = self._opened(None)
             nothing = jnp.full_like(carry.y, jnp.nan)
-            self._carry, self.info = _step(self._form, self._parts, carry, nothing, self._pending[-1])
+            self._carry, self.info = _advance(self._form, self._parts, carry, nothing, self._pending[-1])
             self._pending = []
 
     def _fit(self, u: Inputs, y: Any) -> None:
@@ -161,7 +161,7 @@ class Stream:
             if y is None:
                 checks.refuse("predict", "a measurement of step 0 first", "none", "Call update(y) with NaN if nothing was measured.")
             self._fit(self._inputs, y)
-            self._carry = _begin(self._form, self._parts, self._inputs, y)
+            self._carry = _start(self._form, self._parts, self._inputs, y)
         assert self._carry is not None
         return self._carry
 

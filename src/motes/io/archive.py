@@ -157,7 +157,7 @@ def read_tree(path: Path, kind: str, check: Check | None = None) -> tuple[dict[s
         nested = _nested(forms)
         if check is not None:
             check(nested, header["texts"])
-        return _nested({name: _array(path, members, name, crc) for name, crc in header["crc32"].items()}), header["texts"]
+        return _nested({name: _read_array(path, members, name, crc) for name, crc in header["crc32"].items()}), header["texts"]
 
 
 def _nested(leaves: dict[str, Any]) -> dict[str, Any]:
@@ -199,7 +199,7 @@ def _form(path: Path, members: Members, name: str) -> Form:
     return form
 
 
-def _array(path: Path, members: Members, name: str, crc: int) -> np.ndarray:
+def _read_array(path: Path, members: Members, name: str, crc: int) -> np.ndarray:
     array = members.read(name)
     if _sum(array) != crc:
         reject(f"{path}: {name}", "the checksum it was written with", "another", "Restore it from a copy.")

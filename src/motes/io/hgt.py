@@ -49,18 +49,18 @@ def read_hgt(path: str | os.PathLike[str], largest: int, inside: str | None = No
     name = label(path)
     with foreign(path, "an undamaged HGT tile"):
         if inside is None:
-            rows, columns, latitude, longitude = _checked(name, Path(path).name, Path(path).stat().st_size, largest)
+            rows, columns, latitude, longitude = _tile_corner(name, Path(path).name, Path(path).stat().st_size, largest)
             data = Path(path).read_bytes()
         else:
             with zipfile.ZipFile(path) as archive:
                 size = archive.getinfo(inside).file_size
-                rows, columns, latitude, longitude = _checked(name, inside.replace("\\", "/").rsplit("/", 1)[-1], size, largest)
+                rows, columns, latitude, longitude = _tile_corner(name, inside.replace("\\", "/").rsplit("/", 1)[-1], size, largest)
                 data = archive.read(inside)
         heights = np.frombuffer(data, ">i2").reshape(rows, columns)
     return heights, float(latitude + 1), float(longitude), 1 / (rows - 1), 1 / (columns - 1)
 
 
-def _checked(name: str, tile: str, size: int, largest: int) -> tuple[int, int, int, int]:
+def _tile_corner(name: str, tile: str, size: int, largest: int) -> tuple[int, int, int, int]:
     """Return rows, columns, and latitude and longitude of the south-west corner."""
     parts = re.fullmatch(r"([NS])(\d\d)([EW])(\d\d\d)\.hgt", tile, re.IGNORECASE | re.ASCII)
     if not parts:

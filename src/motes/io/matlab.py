@@ -65,8 +65,8 @@ def read_matrices(path: str | os.PathLike[str], widths: Mapping[str, int]) -> di
             if variable.name in found:
                 reject(path, "variables of different names", f"{variable.name} twice")
             if variable.name in widths:
-                _check(path, variable, widths[variable.name], max(NUMBERS, size))
-                found[variable.name] = _numbers(variable, order)
+                _check_size(path, variable, widths[variable.name], max(NUMBERS, size))
+                found[variable.name] = _as_matrix(variable, order)
             else:
                 others.append(variable.name)
     for name in widths:
@@ -79,7 +79,7 @@ def read_matrices(path: str | os.PathLike[str], widths: Mapping[str, int]) -> di
     return found
 
 
-def _check(path: str | os.PathLike[str], variable: _Variable, width: int, most: int) -> None:
+def _check_size(path: str | os.PathLike[str], variable: _Variable, width: int, most: int) -> None:
     name, kind, shape, _ = variable
     given = ("complex " if kind & COMPLEX else "") + CLASSES.get(kind & 0xFF, "another class")
     if kind & COMPLEX or kind & 0xFF not in NUMERIC or len(shape) != 2 or shape[1] != width or shape[0] < 1:
@@ -132,7 +132,7 @@ def _variable(body: memoryview, order: str) -> _Variable:
     return _Variable(bytes(name).decode("ascii"), kind, shape, body[at:])
 
 
-def _numbers(variable: _Variable, order: str) -> np.ndarray:
+def _as_matrix(variable: _Variable, order: str) -> np.ndarray:
     kind, stored, _ = _element(variable.rest, 0, order)
     if kind not in STORED:
         raise ValueError(f"numbers of type {kind} in {variable.name}")

@@ -36,7 +36,7 @@ def read_npz(path: str | os.PathLike[str], largest: int) -> tuple[np.ndarray, fl
             reject(name, "a matrix of real numbers as 'elevation'", f"{form.dtype} of shape {form.shape}")
         check_size(name, *form.shape, largest)
         heights = members.read("elevation")
-        numbers = {key: _number(name, members, key) for key in ("xmin", "xmax", "ymin", "ymax", "dx", "dy")}
+        numbers = {key: _scalar(name, members, key) for key in ("xmin", "xmax", "ymin", "ymax", "dx", "dy")}
     (rows, columns), dy, dx = heights.shape, numbers["dy"], numbers["dx"]
     if not (dx > 0 and dy > 0):
         reject(name, "positive 'dx' and 'dy'", f"{dx} and {dy}")
@@ -49,7 +49,7 @@ def read_npz(path: str | os.PathLike[str], largest: int) -> tuple[np.ndarray, fl
     return heights, north - dy / 2, west + dx / 2, dy, dx
 
 
-def _number(name: str, members: Members, key: str) -> float:
+def _scalar(name: str, members: Members, key: str) -> float:
     form = members.form(key)
     if math.prod(form.shape) != 1 or form.dtype.kind not in "iuf":
         reject(name, f"one finite number as '{key}'", f"{form.dtype} of shape {form.shape}")

@@ -66,7 +66,7 @@ def check_dted(name: str, start: bytes, size: int, largest: int) -> None:
     uhl, dsi = start[first : first + UHL], start[first + UHL : first + UHL + DSI]
     if uhl[:3] != b"UHL" or dsi[:3] != b"DSI" or len(dsi) < DSI:
         reject(name, "a UHL and a DSI record", "a file without them")
-    columns, rows = _number(name, "UHL columns", uhl[47:51]), _number(name, "UHL rows", uhl[51:55])
+    columns, rows = _whole_number(name, "UHL columns", uhl[47:51]), _whole_number(name, "UHL rows", uhl[51:55])
     check_size(name, rows, columns, largest)
     wanted = first + UHL + DSI + ACC + columns * (12 + 2 * rows)
     if size != wanted:
@@ -76,12 +76,12 @@ def check_dted(name: str, start: bytes, size: int, largest: int) -> None:
     pairs = (
         ("columns", columns, dsi[285:289]),
         ("rows", rows, dsi[281:285]),
-        ("longitude interval", _number(name, "UHL longitude interval", uhl[20:24]), dsi[277:281]),
-        ("latitude interval", _number(name, "UHL latitude interval", uhl[24:28]), dsi[273:277]),
+        ("longitude interval", _whole_number(name, "UHL longitude interval", uhl[20:24]), dsi[277:281]),
+        ("latitude interval", _whole_number(name, "UHL latitude interval", uhl[24:28]), dsi[273:277]),
     )
     for field, value, other in pairs:
         # some producers leave the second header blank; only a contradiction is an error
-        if other.strip() and _number(name, f"DSI {field}", other) != value:
+        if other.strip() and _whole_number(name, f"DSI {field}", other) != value:
             reject(name, f"DSI {field} {value} as in the UHL record", other.decode(), "The file is damaged.")
     # GDAL takes any other datum as WGS 84, which may be hundreds of meters off
     datum = dsi[144:149].strip(b" \0")
@@ -140,7 +140,7 @@ def _before(data: bytes) -> int:
     return first
 
 
-def _number(name: str, field: str, text: bytes) -> int:
+def _whole_number(name: str, field: str, text: bytes) -> int:
     if not re.fullmatch(rb" *\d+ *", text):
         reject(name, f"a whole number as {field}", repr(text), "The file is damaged.")
     return int(text)

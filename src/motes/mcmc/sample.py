@@ -76,7 +76,7 @@ def sample(
         checks.shape("log_density at init", values, (None,), "(one number for each chain)")
         check_start(values)
         kernel.check(random.child(key, random.WORLD), log_density, first)
-        states = _begin(random.child(key, random.FILTER), kernel, target, positions)
+        states = _states_at(random.child(key, random.FILTER), kernel, target, positions)
         # an estimate is not that of the check above
         check_start(states.log_density)
         pieces = _pieces(burn_in, draws)
@@ -132,16 +132,16 @@ def _continued(kernel: Kernel, log_density: LogDensity, chains: Chains) -> tuple
     target = _target(kernel, log_density, chains.last.position)
     shape = jax.tree.map(jax.typeof, chains.last)
     try:
-        like = jax.tree.map(jax.typeof, jax.eval_shape(_begin, random.as_key(0), kernel, target, chains.last.position))
+        like = jax.tree.map(jax.typeof, jax.eval_shape(_states_at, random.as_key(0), kernel, target, chains.last.position))
         fits = jax.tree.map(lambda one, other: (one.shape, one.dtype) == (other.shape, other.dtype), shape, like)
     except (TypeError, ValueError):
         fits = False
     if not jax.tree.all(fits):
         checks.refuse("sample kernel", f"that of the chains, {chains.label[:200]}", f"{kernel!r}"[:200])
-    anew = [_begin(random.as_key(seed), kernel, target, chains.last.position).log_density for seed in range(2)]
+    anew = [_states_at(random.as_key(seed), kernel, target, chains.last.position).log_density for seed in range(2)]
     estimated = hasattr(log_density, "estimate") or not np.array_equal(*anew, equal_nan=True)
     if estimated:
-        anew += [_begin(random.as_key(seed), kernel, target, chains.last.position).log_density for seed in range(2, 8)]
+        anew += [_states_at(random.as_key(seed), kernel, target, chains.last.position).log_density for seed in range(2, 8)]
     continuing.check_same(chains.last.log_density, anew, estimated)
     return target, chains.last, int(chains.steps)
 
@@ -184,7 +184,7 @@ def _pieces(burn_in: int, draws: int) -> list[tuple[int, bool]]:
 
 
 @jitted
-def _begin(key: jax.Array, kernel: Kernel, target: Target, positions: Any) -> State:
+def _states_at(key: jax.Array, kernel: Kernel, target: Target, positions: Any) -> State:
     keys = random.step_keys(key, jax.tree.leaves(positions)[0].shape[0])
     return jax.vmap(lambda key, position: kernel.init(key, target.log_density, position))(keys, positions)
 

@@ -59,9 +59,9 @@ class JumpMarkovModel(Model):
         for model in models:
             if model.size != len(names) or (model.names != names and models[0].names == names):
                 checks.refuse("JumpMarkovModel models", f"the same states in all modes ({', '.join(names)})", ", ".join(model.names))
-        initial_mode = _checked("initial_mode", initial_mode, (len(models),), models[0].dtype)
+        initial_mode = _probabilities("initial_mode", initial_mode, (len(models),), models[0].dtype)
         if not callable(transition):
-            transition = _checked("transition", transition, (len(models), len(models)), models[0].dtype)
+            transition = _probabilities("transition", transition, (len(models), len(models)), models[0].dtype)
         given = {"initial_mode": initial_mode, "transition": transition, "models": models, "names": names}
         for name, value in given.items():
             object.__setattr__(self, name, value)
@@ -127,7 +127,7 @@ class JumpMarkovModel(Model):
         )
 
 
-def _checked(name: str, value: Any, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
+def _probabilities(name: str, value: Any, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
     """Return probabilities whose last axis sums to one, or refuse."""
     argument = f"JumpMarkovModel {name}"
     array = checks.as_float(argument, value)

@@ -64,7 +64,7 @@ def moved(start: tuple[float, float, float], velocity: np.ndarray, attitude: np.
     Raises:
         MotesError: shapes do not fit, or the step is not positive.
     """
-    _check(velocity, attitude, step)
+    _check_motion(velocity, attitude, step)
     place = [np.asarray(start, np.float64)]
     for now, then in zip(velocity[:-1], velocity[1:], strict=True):
         place.append(_displaced(place[-1], (now + then) / 2, step))
@@ -152,7 +152,7 @@ def _axes(motion: Motion) -> np.ndarray:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def _check(velocity: np.ndarray, attitude: np.ndarray, step: float) -> None:
+def _check_motion(velocity: np.ndarray, attitude: np.ndarray, step: float) -> None:
     checks.shape("velocity", velocity, (None, 3))
     checks.shape("attitude", attitude, (len(velocity), 3, 3), "(one rotation per instant)")
     if not 0 < step < np.inf:

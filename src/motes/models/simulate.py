@@ -73,7 +73,7 @@ def _drawn_from(model: Model, inputs: Inputs) -> Model:
     return model
 
 
-def _measured(key: jax.Array, model: StateSpaceModel, x: jax.Array, u: Inputs, t: Any) -> jax.Array:
+def _measurement_at(key: jax.Array, model: StateSpaceModel, x: jax.Array, u: Inputs, t: Any) -> jax.Array:
     keyed = random.child(random.step_key(key, t), random.MEASURE)
     return model.sensor.sample(keyed, x[:, None], u, t)[:, 0]
 
@@ -83,7 +83,7 @@ def _measurements(key: jax.Array, given: Model, xs: jax.Array, inputs: Inputs, b
     model = given.as_state_space()
     key = random.child(key, random.NOISE)
     steps = jnp.arange(xs.shape[0], dtype=jnp.int32)
-    return jax.lax.map(lambda now: _measured(key, model, *now), (xs, inputs, steps))
+    return jax.lax.map(lambda now: _measurement_at(key, model, *now), (xs, inputs, steps))
 
 
 @partial(jitted, static_argnames=("steps",))
@@ -99,10 +99,10 @@ def _simulate(key: jax.Array, given: Model, steps: int, inputs: Inputs, beside: 
         u = at_step(inputs, t)
         keyed = random.child(random.step_key(key, t), random.PREDICT)
         x = separate.dynamics.sample(keyed, x[:, None], drive.of(u, at_step(inputs, t - 1), y), t)[:, 0]
-        y = _measured(key, model, x, u, t)
+        y = _measurement_at(key, model, x, u, t)
         return (x, y), (x, y)
 
     x = model.initial.sample(random.child(random.step_key(key, 0), random.INITIAL), 1)[:, 0]
-    y = _measured(key, model, x, at_step(inputs, 0), jnp.int32(0))
+    y = _measurement_at(key, model, x, at_step(inputs, 0), jnp.int32(0))
     _, rest = loop(advance, (x, y), jnp.arange(1, steps, dtype=jnp.int32))
     return with_first((x, y), rest)

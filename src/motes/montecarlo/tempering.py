@@ -91,12 +91,12 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
     @jitted
     def advance(key: jax.Array, b: jax.Array, particles: jax.Array, values: jax.Array) -> Any:
         values = jnp.where(jnp.isnan(values), -jnp.inf, values)
-        db = _step(values, b, how.ess)
+        db = _largest_step(values, b, how.ess)
         weights, gain = logspace.normalize(db * values + logspace.uniform_weights(n, values.dtype))
         ancestors = how.scheme.ancestors(random.child(key, random.RESAMPLE), weights, n)
         kernel = shaped(how.kernel, weights, particles)
         target = Between(law, log_likelihood, b + db)
-        particles, share = _moved(random.child(key, random.PREDICT), kernel, target, particles[:, ancestors], how.moves)
+        particles, share = _after_moves(random.child(key, random.PREDICT), kernel, target, particles[:, ancestors], how.moves)
         return b + db, particles, densities_at(log_likelihood, particles), gain, logspace.effective_size(weights), share
 
     b, total, told = jnp.zeros((), values.dtype), 0.0, []
@@ -111,7 +111,7 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
     checks.refuse("temper log_likelihood", f"one that {MOST_STEPS} steps lead to", given, "Use more particles.")
 
 
-def _step(values: jax.Array, b: jax.Array, share: float) -> jax.Array:
+def _largest_step(values: jax.Array, b: jax.Array, share: float) -> jax.Array:
     """Largest step of the exponent that keeps the effective size of the particles with a likelihood, by bisection of its logarithm.
 
     Likelihoods may differ by any number of nats: the step is looked for at every scale, not in equal parts of what is left.
@@ -160,7 +160,7 @@ class Between(NamedTuple):
         return jnp.where(jnp.isfinite(prior), prior + self.b * self.log_likelihood(x), -jnp.inf)
 
 
-def _moved(key: jax.Array, kernel: Kernel, log_density: Between, particles: jax.Array, moves: int) -> tuple[jax.Array, jax.Array]:
+def _after_moves(key: jax.Array, kernel: Kernel, log_density: Between, particles: jax.Array, moves: int) -> tuple[jax.Array, jax.Array]:
     repeated = Repeat(kernel, moves)
 
     def one(key: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -55,7 +55,7 @@ def complete(notes: dict[str, str], name: str) -> None:
         note(ALL, JAX, f"{name} has no stage with native kernels")
 
 
-def summary(notes: dict[str, str]) -> str:
+def engine_used(notes: dict[str, str]) -> str:
     """Return which engine did the work: "jax", "native", or "native in part"."""
     ways = {text.split(":")[0] for text in notes.values()}
     if not ways - {JAX}:

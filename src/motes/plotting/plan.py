@@ -12,7 +12,7 @@ def plan_figure(plan: Plan) -> Any:
     figure = new_figure(7.0, 0.9 + 0.28 * len(names))
     axes = figure.add_subplot()
     tidy(axes)
-    for place, (error, one) in enumerate(zip(map(_number, errors), map(_number, spread), strict=True)):
+    for place, (error, one) in enumerate(zip(map(_or_nan, errors), map(_or_nan, spread), strict=True)):
         axes.errorbar(error, place, xerr=2 * one, fmt="o", color=COLORS[place > 0], markersize=4, linewidth=1.2)
     axes.set_yticks(range(len(names)), [f"{name}" for name in names], **WORDS)
     axes.invert_yaxis()
@@ -20,5 +20,5 @@ def plan_figure(plan: Plan) -> Any:
     return figure
 
 
-def _number(cell: Any) -> float:
+def _or_nan(cell: Any) -> float:
     return float("nan") if cell is None else float(cell)

@@ -45,9 +45,9 @@ def map_figure(terrain: TerrainMap, tracks: Tracks, title: str = "") -> Any:
     axes = figure.add_subplot()
     _ground(figure, axes, terrain)
     if tracks.true is not None:
-        _line(axes, tracks.true, color=TRUE, linewidth=4.0, label="true")
-    _line(axes, tracks.inertial, color=INERTIAL, linewidth=2.0, linestyle="--", label="inertial")
-    _line(axes, tracks.estimate, color=ESTIMATE, linewidth=1.8, label="estimated")
+        _draw_track(axes, tracks.true, color=TRUE, linewidth=4.0, label="true")
+    _draw_track(axes, tracks.inertial, color=INERTIAL, linewidth=2.0, linestyle="--", label="inertial")
+    _draw_track(axes, tracks.estimate, color=ESTIMATE, linewidth=1.8, label="estimated")
     # the estimate usually settles soon: most ellipses belong to the beginning, where they can be seen
     last = len(tracks.covs) - 1
     for step in np.unique(np.geomspace(1, last + 1, ELLIPSES).astype(int)) - 1:
@@ -59,7 +59,7 @@ def map_figure(terrain: TerrainMap, tracks: Tracks, title: str = "") -> Any:
     return figure
 
 
-def _line(axes: Any, track: tuple[np.ndarray, np.ndarray], **look: Any) -> None:
+def _draw_track(axes: Any, track: tuple[np.ndarray, np.ndarray], **look: Any) -> None:
     north, east = (np.asarray(part) / 1e3 for part in track)
     axes.plot(east, north, color="white", linewidth=look["linewidth"] + 2.5, zorder=2)
     axes.plot(east, north, zorder=3, solid_capstyle="butt", **look)

@@ -133,14 +133,14 @@ def _mark(x: float, y: float, lost: bool, told: str) -> str:
 def _series(result: StudyResult, bound: Any) -> dict[str, Any]:
     blocks = []
     for name, _ in result.blocks:
-        lines = {"name": name, "filters": [_numbers(line) for line in result.rmse_over_time(name)]}
+        lines = {"name": name, "filters": [_for_json(line) for line in result.rmse_over_time(name)]}
         if bound is not None:
-            lines["bound"] = _numbers(result.bound_over_time(name, bound))
+            lines["bound"] = _for_json(result.bound_over_time(name, bound))
         blocks.append(lines)
     return {"names": list(result.filters), "steps": list(range(result.truth.shape[1])), "blocks": blocks}
 
 
-def _numbers(values: np.ndarray) -> list[float | None]:
+def _for_json(values: np.ndarray) -> list[float | None]:
     return [float(f"{value:.5g}") if math.isfinite(value) else None for value in values]
 
 

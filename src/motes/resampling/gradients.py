@@ -15,11 +15,11 @@ T = TypeVar("T")
 
 
 @jax.custom_jvp
-def _told(leaves: list[jax.Array]) -> list[jax.Array]:
+def _with_warning(leaves: list[jax.Array]) -> list[jax.Array]:
     return leaves
 
 
-@_told.defjvp
+@_with_warning.defjvp
 def _tell(primals: Any, tangents: Any) -> tuple[Any, Any]:
     checks.warn(
         "the derivative of a run that resamples leaves out how the picking of particles depends on the parameters: it is not that of the "
@@ -37,6 +37,6 @@ def noticed(tree: T) -> T:
     """Return a tree as it is, and warn when it is differentiated."""
     leaves, form = jax.tree.flatten(tree)
     places = [i for i, leaf in enumerate(leaves) if jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)]
-    for i, leaf in zip(places, _told([leaves[i] for i in places]), strict=True):
+    for i, leaf in zip(places, _with_warning([leaves[i] for i in places]), strict=True):
         leaves[i] = leaf
     return jax.tree.unflatten(form, leaves)

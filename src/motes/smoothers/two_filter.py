@@ -80,7 +80,7 @@ class TwoFilterSmoother(Smoother):
             (z, _, _), (z_after, log_g_after, step), seen = row
             move = Move(model.dynamics, step.u, step.t)
             ahead = _summed(lambda one: move.log_prob(z_after, jnp.broadcast_to(one[:, None], z_after.shape)), held - log_g_after, z)
-            weights = logspace.normalize(jnp.where(_filled(move, z), seen + ahead, jnp.nan))[0]
+            weights = logspace.normalize(jnp.where(_spreads_everywhere(move, z), seen + ahead, jnp.nan))[0]
             return weights, weights
 
         last = logspace.normalize(likelihood[-1])[0]
@@ -96,7 +96,7 @@ class TwoFilterSmoother(Smoother):
         return Smoothed(*jax.vmap(lambda w, z: weighted_moments(logspace.normalize(w)[0], z))(weights, points))
 
 
-def _filled(move: Move, z: jax.Array) -> jax.Array | bool:
+def _spreads_everywhere(move: Move, z: jax.Array) -> jax.Array | bool:
     """Tell whether the dynamics have noise in every direction, from all of the points z `(x, n)`; where it is not known, yes."""
     if not isinstance(move.dynamics, AdditiveGaussian):
         return True

@@ -75,7 +75,7 @@ def study(
             with suppress(KeyboardInterrupt):  # of somebody who will not wait
                 for block in _done(pending, work):
                     kept.put(*block)
-            raise KeyboardInterrupt(_told(plan, kept, store, chunk)) from None
+            raise KeyboardInterrupt(_how_to_go_on(plan, kept, store, chunk)) from None
         labels = {name: repr(plan.assumed(name)[0]) for name in plan.filters}
         return StudyResult.read(kept, list(plan.filters), plan.runs, notes | {"labels": labels})
 
@@ -189,7 +189,7 @@ def _left(tasks: list[Task]) -> int:
     return sum(stop - start for part, start, stop in tasks if part != TRUTH)
 
 
-def _told(plan: Experiment, kept: Store | Memory, store: Any, chunk: int) -> str:
+def _how_to_go_on(plan: Experiment, kept: Store | Memory, store: Any, chunk: int) -> str:
     total = plan.runs * len(plan.filters)
     left = _left(_missing(plan, kept, chunk))
     if store is None:

@@ -30,7 +30,7 @@ def accuracy(squared: np.ndarray) -> Accuracy:
     """
     if not squared.shape[0]:
         return Accuracy(math.nan, math.nan)
-    return Accuracy(_root(squared), _spread(_influence(squared)))
+    return Accuracy(_root(squared), _standard_error(_influence(squared)))
 
 
 def difference(squared: np.ndarray, reference: np.ndarray) -> Accuracy:
@@ -42,7 +42,7 @@ def difference(squared: np.ndarray, reference: np.ndarray) -> Accuracy:
     """
     if not squared.shape[0]:
         return Accuracy(math.nan, math.nan)
-    return Accuracy(_root(squared) - _root(reference), _spread(_influence(squared) - _influence(reference)))
+    return Accuracy(_root(squared) - _root(reference), _standard_error(_influence(squared) - _influence(reference)))
 
 
 def _root(squared: np.ndarray) -> float:
@@ -55,7 +55,7 @@ def _influence(squared: np.ndarray) -> np.ndarray:
     return squared.mean(axis=1) / (2 * rmse) if rmse > 0 else np.zeros(squared.shape[0])
 
 
-def _spread(influence: np.ndarray) -> float:
+def _standard_error(influence: np.ndarray) -> float:
     return float(influence.std(ddof=1) / np.sqrt(influence.size)) if influence.size > 1 else math.nan
 
 

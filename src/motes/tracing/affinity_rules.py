@@ -99,7 +99,7 @@ def _numbered(values: Sequence[Value]) -> list[np.ndarray]:
     ]
 
 
-def _moved(values: Sequence[Value], source: np.ndarray) -> Value:
+def _rearranged(values: Sequence[Value], source: np.ndarray) -> Value:
     """Return the array whose elements are those with the numbers `source`; negative numbers are unknown constants."""
     count = values[0].uses.shape[-1]
 
@@ -160,18 +160,18 @@ _MOVES: dict[str, Callable[..., np.ndarray]] = {
 
 
 def _move(equation: Any, values: Sequence[Value]) -> Value:
-    return _moved(values, _MOVES[equation.primitive.name](equation.params, *_numbered(values)))
+    return _rearranged(values, _MOVES[equation.primitive.name](equation.params, *_numbered(values)))
 
 
 def _split(equation: Any, values: Sequence[Value]) -> list[Value]:
     (numbers,) = _numbered(values)
     parts = np.split(numbers, np.cumsum(equation.params["sizes"])[:-1], equation.params["axis"])
-    return [_moved(values, part) for part in parts]
+    return [_rearranged(values, part) for part in parts]
 
 
 def _unstack(equation: Any, values: Sequence[Value]) -> list[Value]:
     (numbers,) = _numbered(values)
-    return [_moved(values, part) for part in np.moveaxis(numbers, equation.params["axis"], 0)]
+    return [_rearranged(values, part) for part in np.moveaxis(numbers, equation.params["axis"], 0)]
 
 
 # ---- rules with an index, which may be known now, constant but unknown, or dependent ----
@@ -195,7 +195,7 @@ def _dynamic_slice(equation: Any, values: Sequence[Value]) -> Value:
     window = _window(starts, operand.live.shape, equation.params["slice_sizes"])
     if window is None:
         return decided(spread(summary(operand), equation.outvars[0].aval.shape), _used(starts))
-    return _moved([operand], _numbered([operand])[0][window])
+    return _rearranged([operand], _numbered([operand])[0][window])
 
 
 def _dynamic_update_slice(equation: Any, values: Sequence[Value]) -> Value:
@@ -205,7 +205,7 @@ def _dynamic_update_slice(equation: Any, values: Sequence[Value]) -> Value:
         return decided(union([operand, spread(summary(update), operand.live.shape)]), _used(starts))
     numbers, new = _numbered([operand, update])
     numbers[window] = new
-    return _moved([operand, update], numbers)
+    return _rearranged([operand, update], numbers)
 
 
 def _gather(equation: Any, values: Sequence[Value]) -> Value:
@@ -217,7 +217,7 @@ def _gather(equation: Any, values: Sequence[Value]) -> Value:
     with jax.ensure_compile_time_eval():
         dimensions, sizes, mode = params["dimension_numbers"], params["slice_sizes"], params["mode"]
         source = lax.gather(numbers, index.known, dimensions, sizes, mode=mode, fill_value=-1)
-        return _moved([operand], np.asarray(source))
+        return _rearranged([operand], np.asarray(source))
 
 
 def _scatter(equation: Any, values: Sequence[Value]) -> Value:
@@ -238,7 +238,7 @@ def _scatter(equation: Any, values: Sequence[Value]) -> Value:
     if (hits > 1).any():
         landed = spread(nonlinear([summary(updates)]) if name == "scatter-mul" else summary(updates), shape)
     else:
-        landed = _moved([updates], source)
+        landed = _rearranged([updates], source)
     landed = masked(landed, hits > 0)
     if name == "scatter-mul":
         return multiply(operand, landed._replace(live=landed.live | (hits == 0)))

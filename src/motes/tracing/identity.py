@@ -216,12 +216,12 @@ def _gathered(value: Any, found: list[str]) -> bool:
     if isinstance(value, (list, tuple, dict)) and library:
         return all([_gathered(item, found) for item in (value.values() if isinstance(value, dict) else value)])
     if isinstance(value, FunctionType):
-        return _of_library(value) or _told(value, found)
+        return _of_library(value) or _tell_object(value, found)
     if library and hasattr(value, "__dataclass_fields__"):
         return all([_gathered(item, found) for item in vars(value).values()])
     if jax.tree_util.all_leaves([value]):
-        return _told(value, found)
-    if not library and not _told(type(value), found):
+        return _tell_object(value, found)
+    if not library and not _tell_object(type(value), found):
         return False
     children, structure = jax.tree_util.default_registry.flatten_one_level(value)
     return _gathered(list(children), found) and _gathered(structure, found)
@@ -231,7 +231,7 @@ def _of_library(function: FunctionType) -> bool:
     return function.__module__.partition(".")[0] == "motes" and function.__closure__ is None
 
 
-def _told(value: Any, found: list[str]) -> bool:
+def _tell_object(value: Any, found: list[str]) -> bool:
     text = Reading(value).text
     found.append(text or "")
     return text is not None
@@ -280,7 +280,7 @@ def _avals(variables: Any) -> tuple[Any, ...]:
 def _value(value: Any) -> Any:
     """Return what stands for a parameter or constant: equal only when the value is the same."""
     if isinstance(value, (jax.Array, np.ndarray, np.generic)):
-        return _array(value)
+        return _tell_array(value)
     if isinstance(value, PROGRAMS):
         return _program(value)
     if isinstance(value, (float, complex)):
@@ -298,11 +298,11 @@ def _value(value: Any) -> Any:
     return type(value), value
 
 
-def _array(value: Any) -> tuple[Any, ...]:
+def _tell_array(value: Any) -> tuple[Any, ...]:
     if isinstance(value, Tracer):
         raise _IncomparableError
     if jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
-        return "key", str(jax.random.key_impl(value)), _array(jax.random.key_data(value))
+        return "key", str(jax.random.key_impl(value)), _tell_array(jax.random.key_data(value))
     raw = np.ascontiguousarray(value).reshape(-1).view(np.uint8)
     numbers = raw.tobytes() if raw.size <= _SMALL else hashlib.sha256(raw.data).digest()
     place = (value.sharding, value.committed, value.weak_type) if isinstance(value, jax.Array) else ()

@@ -121,7 +121,7 @@ class Reading:
         if isinstance(value, JITTED):
             return self._all(value.__wrapped__)
         if isinstance(value, types.CellType):
-            return self._all(value.cell_contents) if _filled(value) else []
+            return self._all(value.cell_contents) if _has_contents(value) else []
         return self._object(value)
 
     def _all(self, *values: Any) -> list[str]:
@@ -207,7 +207,7 @@ def _is_library(module: str) -> bool:
     return module.partition(".")[0] in _LIBRARIES
 
 
-def _filled(cell: types.CellType) -> bool:
+def _has_contents(cell: types.CellType) -> bool:
     try:
         return cell.cell_contents is not cell
     except ValueError:

@@ -184,7 +184,7 @@ def error_model(
     if step is not None and not 0 < step < np.inf:
         checks.refuse("step", "a positive number of seconds", step)
     if kind.states == 9:
-        names, spread, moves = NAMES, _spread(prior), _dynamics(noises, step)
+        names, spread, moves = NAMES, _prior_deviations(prior), _dynamics(noises, step)
     elif step is None or cruise is None:
         checks.refuse("inertial states", "9 where fixes are not evenly spaced or no cruise is given", kind.states)
     else:
@@ -198,7 +198,7 @@ def error_model(
     )
 
 
-def _spread(prior: Prior) -> np.ndarray:
+def _prior_deviations(prior: Prior) -> np.ndarray:
     return along_axes(
         (prior.horizontal_position, prior.vertical_position),
         (prior.horizontal_velocity, prior.vertical_velocity),

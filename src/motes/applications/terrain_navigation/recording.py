@@ -60,7 +60,7 @@ def read_recording(recording: Recording) -> Columns:
             values[values == recording.missing] = np.nan
     north, east, altitude = recording.inertial
     for name in recording.inertial:
-        _check(table, name, np.isnan(table[name]), "a number in every row (only the altimeter may miss)")
+        _refuse_rows(table, name, np.isnan(table[name]), "a number in every row (only the altimeter may miss)")
     far = (-FARTHEST, FARTHEST)
     limits = {north: far, east: far, altitude: ALTITUDES, recording.height: HEIGHTS} | dict.fromkeys(recording.truth, far)
     for name, (low, high) in limits.items():
@@ -70,11 +70,11 @@ def read_recording(recording: Recording) -> Columns:
             value = table[name][np.argmax(beyond)]
             hint = "Leave the cell empty if nothing was measured" + (
                 f", or say so under [data]: missing = {value:g}" if name not in recording.inertial else "") + "."  # fmt: skip
-        _check(table, name, beyond, f"meters between {low:g} and {high:g}", hint)
+        _refuse_rows(table, name, beyond, f"meters between {low:g} and {high:g}", hint)
     return table
 
 
-def _check(table: Columns, name: str, bad: np.ndarray, expected: str, hint: str = "") -> None:
+def _refuse_rows(table: Columns, name: str, bad: np.ndarray, expected: str, hint: str = "") -> None:
     if bad.any():
         row = int(np.argmax(bad))
         value = table[name][row]

@@ -128,9 +128,9 @@ def _spreads(terrain: TerrainMap, north: float, east: float, window: float) -> t
              for at, step in ((north, terrain.dn), (east, terrain.de))]
     square = heights[tuple(sides)].astype(np.float64)
     slopes = [np.diff(square, axis=axis) / step for axis, step in enumerate((terrain.dn, terrain.de))]
-    return _spread(square) ** 0.5, (sum(map(_spread, slopes)) / 2) ** 0.5
+    return _variance(square) ** 0.5, (sum(map(_variance, slopes)) / 2) ** 0.5
 
 
-def _spread(values: np.ndarray) -> float:
+def _variance(values: np.ndarray) -> float:
     known = values[~np.isnan(values)]
     return float(known.var()) if known.size else 0.0
