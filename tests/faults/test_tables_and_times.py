@@ -41,6 +41,7 @@ def test_nanoseconds_keep_their_differences_and_durations_their_lengths():
     assert times(ticks)[1][1] == pytest.approx(123e-9, rel=1e-12)
     assert times(np.array([0, 1500, 4000], "timedelta64[ms]"))[1].tolist() == [0, 1.5, 4]
     assert times(np.array([2, 4], "timedelta64[D]"))[0] == 172800
+    refusal(lambda: times(np.array([2, 4], "timedelta64[M]")), "Months differ in length")
 
 
 @pytest.mark.parametrize("bad", [np.array(["2024-01-01", "NaT"], "datetime64[ns]"), [datetime(2024, 1, 1), None],

@@ -130,24 +130,24 @@ def number(value: float | None, digits: int) -> str:
 
 
 def check_folder(path: str) -> None:
-    """Refuse a folder for results that could not be written to, before there are any, and say where it is; makes nothing.
+    """Refuse, before anything is computed, a folder for results that could not be written to, and print where it is; makes nothing.
 
     Raises:
         FileError: it has no name, is no folder, or may not be written to.
     """
     if not path or "\0" in path:
-        refuse("out", "a folder for results", "none" if not path else repr(path[:80]), "Write . for the present one.", error=FileError)
+        refuse("out", "a folder for results", "none" if not path else repr(path[:80]), "Write . for the current one.", error=FileError)
     place = Path(path).absolute()
     try:
         existing = next(above for above in (place, *place.parents) if os.path.lexists(above))
-        is_folder, room = existing.is_dir(), os.statvfs(existing).f_blocks
+        is_folder, blocks = existing.is_dir(), os.statvfs(existing).f_blocks
     except OSError as reason:
         refuse(label(path), "a folder that can be written", reason.strerror or str(reason), error=FileError)
     if not is_folder:
-        refuse(label(path), "a folder that can be written", f"{existing.name[:80]}, which is none", error=FileError)
+        refuse(label(path), "a folder that can be written", f"{existing.name[:80]}, which is not a folder", error=FileError)
     # some file systems, such as /proc, allow nothing although the permissions would
-    if not os.access(existing, os.W_OK | os.X_OK) or room == 0:
-        refuse(label(path), "a folder that can be written", f"{label(existing)}, which cannot", error=FileError)
+    if not os.access(existing, os.W_OK | os.X_OK) or blocks == 0:
+        refuse(label(path), "a folder that can be written", f"{label(existing)}, which cannot be written to", error=FileError)
     print(f"Results go to {os.path.normpath(place)}.")
 
 

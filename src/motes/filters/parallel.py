@@ -98,12 +98,13 @@ def _run(model: Model, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[A
 def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tuple[_Element, jax.Array]:
     """Return a step as an element: x = F x' + c + noise of covariance Q, and y = H x + d + noise of covariance R.
 
-    Also tell whether the measurement says something of x' without any noise, which no element can hold.
+    x' is the state before. Also tell whether the measurement says something of it without any noise, which no element can hold.
     """
-    nowhere = jnp.zeros((model.size,), y.dtype)
-    c, F, Q = affine(model.dynamics, nowhere, u, t)
-    d, H, R = affine(model.sensor, nowhere, u, t)
+    origin = jnp.zeros((model.size,), y.dtype)  # a linear model is the same about any point
+    c, F, Q = affine(model.dynamics, origin, u, t)
+    d, H, R = affine(model.sensor, origin, u, t)
     seen = measured_in(y, R)
+    # what was not measured has no row in H, and a variance of one that tells nothing
     innovation = zeroed(model.sensor.residual(y, d + H @ c), seen)
     H, R = zeroed(H, seen, 2), among(R, seen)
     factor = linalg.cholesky(linalg.sandwich(H, Q) + R)

@@ -59,27 +59,25 @@ def in_seconds(values: Any, name: str = "times") -> tuple[float, np.ndarray]:
         name: what they are called in messages.
 
     Returns:
-        The start (0 for numbers), and float64 of the shape of the values.
+        The start (of dates Unix seconds, of numbers and durations 0), and float64 of the shape of the values.
 
     Raises:
         MotesError: they are none of these.
     """
     kind = getattr(values, "dtype", None)
     if getattr(kind, "tz", None) is not None:
-        # pandas keeps instants with a time zone; a column has its methods in a drawer of their own
-        own = getattr(values, "dt", values)
-        values = own.tz_convert("UTC").tz_localize(None) if own is values else own.tz_convert("UTC").dt.tz_localize(None)
+        # pandas keeps instants with a time zone; those of a column have their methods under .dt
+        instants = getattr(values, "dt", values)
+        values = instants.tz_convert("UTC").tz_localize(None) if instants is values else instants.tz_convert("UTC").dt.tz_localize(None)
     try:
         array = np.asarray(values)
         if array.dtype == object:
             array = _objects(array)
-        if array.dtype.kind in "mM":
-            return _ticks(array, name)
-        if array.dtype.kind not in "biuf":
+        if array.dtype.kind not in "biufmM":
             raise TypeError
-        return 0.0, array.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
-        refuse(name, "numbers of seconds, or times with a unit of their own", f"{type(values).__name__}"[:60])
+        refuse(name, "numbers of seconds, or times with a unit of their own", type(values).__name__[:60])
+    return _ticks(array, name) if array.dtype.kind in "mM" else (0.0, array.astype(np.float64))
 
 
 def _objects(array: np.ndarray) -> np.ndarray:

@@ -109,21 +109,22 @@ def _text(path: str | os.PathLike[str], data: bytes) -> str:
 def _collect(path: Any, rows: Any, width: int, places: list[int], cells: list[list[str]], skipped: int) -> "array[int]":
     """Append the chosen cells of each row to their columns; return the line on which each row starts."""
     lines = array("q")
-    blank, line = 0, skipped + rows.line_num + 1
+    first_blank, line = 0, skipped + rows.line_num + 1
     for row in rows:
         if not row:
-            blank = blank or line
+            first_blank = first_blank or line  # allowed at the end of the file alone
+        # "#N/A" is a missing number, not a comment
         elif row[0].lstrip()[:1] == "#" and row[0].strip().lower() not in MISSING:
             pass
-        elif blank or len(row) != width:
-            given, where = (0, blank) if blank else (len(row), line)
-            hint = "" if blank or given < width else _DECIMAL_COMMA
+        elif first_blank or len(row) != width:
+            given, where = (0, first_blank) if first_blank else (len(row), line)
+            hint = "" if first_blank or given < width else _DECIMAL_COMMA
             reject(path, f"{width} fields as in the line of names", f"{given} in line {where}", hint)
         else:
             for column, place in zip(cells, places, strict=True):
                 column.append(row[place])
             lines.append(line)
-        line = skipped + rows.line_num + 1
+        line = skipped + rows.line_num + 1  # a quoted cell may be on several lines
     return lines
 
 

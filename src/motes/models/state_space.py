@@ -48,26 +48,27 @@ class StateSpaceModel(Model):
         names: tuple[str, ...] = (),
         noise_cross_cov: MatrixLike | None = None,
     ):
-        """Check that the pieces fit each other, by running the user's functions on shapes alone.
+        """Check the kinds of the pieces, the indices of angles, the names and the cross-covariance; `check` looks at the functions.
 
         Raises:
-            MotesError: a piece has the wrong kind, or a function returns the wrong shape; the message names it.
+            MotesError: a piece has the wrong kind or size; the message names it.
         """
         initial = as_law("StateSpaceModel initial", initial)
         for name, value in (("dynamics", dynamics), ("sensor", sensor)):
             if not isinstance(value, Conditional):
                 checks.refuse(f"StateSpaceModel {name}", "LinearGaussian, AdditiveGaussian, AdditiveNoise or Custom", type(value).__name__)
         size = drawn(initial).shape[0]
-        if any(not -size <= a < size for a in dynamics.angles):
+        if any(not -size <= index < size for index in dynamics.angles):
             checks.refuse("StateSpaceModel dynamics angles", f"indices of the {size} states", list(dynamics.angles))
-        initial = initial.gathered(tuple(a % size for a in dynamics.angles))
+        # negative indices count from the end; a cloud on both sides of the cut is put on one branch before anything is averaged
+        initial = initial.gathered(tuple(index % size for index in dynamics.angles))
         names = tuple(names) or tuple(f"x{i}" for i in range(size))
         if len(names) != size or len(set(names)) != size:
             checks.refuse("StateSpaceModel names", f"{size} different names, one per state", list(names))
         if noise_cross_cov is not None:
             noise_cross_cov = _checked_cross_cov(noise_cross_cov, dynamics, sensor, size)
-        given = {"initial": initial, "dynamics": dynamics, "sensor": sensor, "names": names, "noise_cross_cov": noise_cross_cov}
-        for name, value in given.items():
+        fields = {"initial": initial, "dynamics": dynamics, "sensor": sensor, "names": names, "noise_cross_cov": noise_cross_cov}
+        for name, value in fields.items():
             object.__setattr__(self, name, value)
 
     @property

@@ -46,9 +46,9 @@ def integral(key: KeyLike, function: Any, low: Any, high: Any, n: int) -> Estima
         checks.finite(f"integral {name}", value, "Map an infinite range to a finite one, or use importance_sampling.")
     if checks.is_concrete((low, high)) and not bool((high > low).all()):
         checks.refuse("integral high", "numbers above low", f"{high.tolist()} above {low.tolist()}")
-    wide = high - low
-    points = low[:, None] + wide[:, None] * random.uniform(random.as_key(key), (low.shape[0], _at_least_two("integral", n)), low.dtype)
-    return _mean("integral", jnp.prod(wide) * values_at(function, points))
+    sides = high - low
+    points = low[:, None] + sides[:, None] * random.uniform(random.as_key(key), (low.shape[0], _at_least_two("integral", n)), low.dtype)
+    return _mean("integral", jnp.prod(sides) * values_at(function, points))
 
 
 def _at_least_two(asked_by: str, n: Any) -> int:

@@ -21,6 +21,7 @@ CHUNK = 8
 """Runs that are computed, and kept, at a time on a CPU."""
 
 Task = tuple[str, int, int]
+"""A part (a filter, or the truth), its first run, and one after its last."""
 
 
 def study(
@@ -31,7 +32,7 @@ def study(
     progress: bool | None = None,
     repair: bool = False,
 ) -> StudyResult:
-    """Run all filters of an experiment on all its runs.
+    """Simulate the runs of an experiment and run each of its filters on each of them: a Monte Carlo study.
 
     The numbers are the same, bit for bit, whatever the chunks, workers, order of completion and interruptions, on one kind of processor. A
     store lets a study that was stopped or killed go on where it was, and take further runs or filters without touching those it has.
@@ -56,14 +57,14 @@ def study(
         checks.refuse("study experiment", "an Experiment, or the name of a function that makes one, 'module:function'", type(plan).__name__)
     if executor is not None:
         _check_executor(experiment, executor)
-    width = batch_width()
+    width = batch_width()  # 1 on a CPU
     chunk = (CHUNK if width == 1 else width) if chunk is None else chunk
     checks.positive_integer("study chunk", chunk)
     plan.check()
     with Memory() if store is None else Store(Path(store)) as kept:
         notes = notes_of(plan, engine.chosen())
         if isinstance(kept, Store):
-            kept.settle(of_world(plan), {TRUTH: Entry("", "truth")} | of_filters(plan), notes)
+            kept.bind(of_world(plan), {TRUTH: Entry("", "truth")} | of_filters(plan), notes)
             kept.verify(repair)
         tasks, pending = _missing(plan, kept, chunk), {}
         work = Work(plan, width) if executor is None else None
@@ -72,7 +73,7 @@ def study(
                 with _workers(experiment, work, executor, width) as submit:
                     _work_off(tasks, submit, pending, kept, lambda runs: (seen(runs), drawn(runs)))
         except KeyboardInterrupt:
-            with suppress(KeyboardInterrupt):  # of somebody who will not wait
+            with suppress(KeyboardInterrupt):  # a second Ctrl-C ends the saving
                 for block in _done(pending, work):
                     kept.put(*block)
             raise KeyboardInterrupt(_how_to_go_on(plan, kept, store, chunk)) from None

@@ -155,12 +155,12 @@ class Store:
         marks = ", ".join("?" * (len(values) + 1))
         self._ledger.execute(f"INSERT OR REPLACE INTO {table} VALUES ({marks})", (*values, _mark(values)))
 
-    def settle(self, fields: dict[str, Entry], parts: dict[str, Entry], notes: dict[str, Any]) -> None:
-        """Make the store that of an experiment; what it knows already must be the same, parts may come to it.
+    def bind(self, fields: dict[str, Entry], parts: dict[str, Entry], notes: dict[str, Any]) -> None:
+        """Bind the store to an experiment: what it knows already must be the same, new parts are added, unfinished files removed.
 
         Args:
-            fields: what all runs have in common.
-            parts: filters (and the truth).
+            fields: by name, what all runs depend on, such as the model.
+            parts: by name, filters and the truth.
             notes: what a reader wants to know besides, such as the names of the states; not compared.
 
         Raises:
@@ -168,6 +168,7 @@ class Store:
         """
         known = {name: Entry(digest, shown) for name, digest, shown in self._rows("field") if name != "notes"}
         numbered = self.parts()
+        # the longer names keep a filter from being taken for a field
         before = known | {f"filter {name!r}": entry for name, (_, entry) in numbered.items()}
         now = fields | {f"filter {name!r}": entry for name, entry in parts.items()}
         different = [_difference(name, before[name], entry) for name, entry in now.items()

@@ -110,11 +110,14 @@ class Session:
         return self.run(self.ys)
 
     def fed(self, stream: Stream, rows: Sequence[int], unmeasured: Sequence[int] = ()) -> list[np.ndarray]:
-        """Feed rows of the measurements with gaps to a stream, those in `unmeasured` by `predict` alone; gives the means."""
+        """Lead a stream through rows of the measurements with gaps, in order, from where it stands; gives the mean after each.
+
+        Rows in `unmeasured` are predicted and not updated, unlike rows of NaN, which are both.
+        """
         means = []
         with quietly():
             for row in rows:
-                if row:
+                if row:  # row 0 is of the initial state, before any dynamics
                     stream.predict()
                 if row not in unmeasured:
                     stream.update(self.gappy[row])

@@ -106,16 +106,18 @@ def local(terrain: TerrainMap, recording: Recording, table: Columns, columns: Se
 
 
 def misreadings(terrain: TerrainMap, recording: Recording, table: Columns) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Return what a track off the map may have been meant to be: advice, north and east."""
-    one, two = recording.inertial[:2]
-    swapped = replace(recording, inertial=(two, one))
-    of_meters = recording.coordinates == "local"
-    other = replace(recording, coordinates="map" if of_meters else "local")
-    meant = "the map's own coordinates" if of_meters else "meters from its south-west post"
+    """Return other readings of a track that lies off the map, each as advice for the user, north and east in meters.
+
+    Whoever asks tells which of them lies on the map.
+    """
+    north, east = recording.inertial[:2]
+    in_meters = recording.coordinates == "local"
+    other = replace(recording, coordinates="map" if in_meters else "local")
+    other_system = "the map's own coordinates" if in_meters else "meters from its south-west post"
     return [
-        (f"{'North and east' if of_meters else 'Latitude and longitude'} look swapped: exchange {one!r} and {two!r}.",
-         *local(terrain, swapped, table, swapped.inertial)),
-        (f'They look like {meant}: set coordinates = "{other.coordinates}".', *local(terrain, other, table, recording.inertial)),
+        (f"{'North and east' if in_meters else 'Latitude and longitude'} look swapped: exchange {north!r} and {east!r}.",
+         *local(terrain, recording, table, (east, north))),
+        (f'They look like {other_system}: set coordinates = "{other.coordinates}".', *local(terrain, other, table, recording.inertial)),
     ]
 
 
