@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from scipy import stats
 
 import motes as mo
 from motes.core import linalg
@@ -102,13 +103,19 @@ def breach(paths, inputs):
     return worst / (1 + np.abs(paths).max())
 
 
+def measured(seed):
+    """Measurements that the model of a seed made."""
+    initial, inputs = drawn(seed)
+    return np.asarray(mo.simulate(seed, mo.StateSpaceModel(initial, MOTION, SIGHT), STEPS, inputs)[1])
+
+
 def judged(name, seed):
     """Errors in standard errors and breaches of a smoother on one model, or the refusal."""
     initial, inputs = drawn(seed)
     smoother, of = SMOOTHERS[name]
     model = mo.StateSpaceModel(initial, MOTION, SIGHT)
     filter = of(len(initial.mean()), is_sharp(inputs))
-    ys = np.asarray(mo.simulate(seed, model, STEPS, inputs)[1])
+    ys = measured(seed)
     mean, cov = exact(initial, inputs, ys)
     found = []
     try:
@@ -139,6 +146,9 @@ def test_exact_smoothers(name, double):
 def test_smoothers_by_particles(seed, double):
     """A smoother may refuse a sensor without noise, and that of two filters a step without; never anything else."""
     initial, inputs = drawn(seed)
+    far = exact(initial, inputs, measured(seed))[0][0] - np.asarray(initial.mean())
+    if stats.chi2.sf(far @ np.linalg.solve(np.asarray(initial.cov()), far), len(far)) < 1e-3:
+        pytest.skip("the first state lies where hundreds of particles have hardly one")
     still = any(np.linalg.matrix_rank(Q) < len(Q) for Q in inputs["Q"][1:])
     for name in sorted(set(SMOOTHERS) - set(EXACT)):
         if name == "Rao-Blackwellized" and len(initial.mean()) == 1:
@@ -156,7 +166,7 @@ def test_faults_would_be_found(monkeypatch, double):
     """Filtered moments are not smoothed ones; a variance that rounding left, taken for one, ruins the square root."""
     initial, inputs = drawn(8)
     model = mo.StateSpaceModel(initial, MOTION, SIGHT)
-    ys = np.asarray(mo.simulate(8, model, STEPS, inputs)[1])
+    ys = measured(8)
     assert np.abs(np.asarray(mo.run(0, mo.KalmanFilter(), model, ys, inputs).mean) - exact(initial, inputs, ys)[0]).max() > 0.01
     name = "Rauch-Tung-Striebel, square root"
     triangle = linalg.triangle
