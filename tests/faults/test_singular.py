@@ -100,6 +100,18 @@ def test_sensor_without_noise_is_exact_or_refused(name):
         assert name not in WEIGH and exact(history)
 
 
+def test_a_small_variance_that_is_left_is_no_rounding():
+    """The second state is known from the first to three thousandths, and from a sensor of its own; in single precision."""
+    model = mo.StateSpaceModel(
+        mo.Gaussian([0.0, 0.0], [[1.0, np.sqrt(1 - 1e-5)], [np.sqrt(1 - 1e-5), 1.0]]),
+        mo.LinearGaussian(np.eye(2), np.zeros((2, 2))),
+        mo.LinearGaussian(np.eye(2), np.diag([0.0, 1e-5])),
+    )
+    for ys, left in (([[0.5, np.nan]], 1e-5), ([[0.5, 0.5]], 5e-6)):
+        cov = np.asarray(mo.run(0, mo.KalmanFilter(), model, np.array(ys)).cov)[0]
+        assert cov[0, 0] == 0 and cov[1, 1] == pytest.approx(left, rel=0.1)
+
+
 def test_ignoring_the_sensor_would_be_found():
     assert not exact(mo.run(0, mo.KalmanFilter(), sharp(), np.full_like(YS, np.nan)))
 

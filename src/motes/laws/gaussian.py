@@ -9,7 +9,7 @@ import numpy as np
 
 from motes.core import checks, linalg, random
 from motes.core.record import record
-from motes.laws.density import LOG_2PI, ROUNDING, among, carried, log_density, log_normal, noiseless, same_batch, slack, zeroed
+from motes.laws.density import LOG_2PI, ROUNDING, among, carried, log_density, log_normal, noiseless, same_batch, zeroed
 from motes.laws.law import Law
 
 L = TypeVar("L")
@@ -132,8 +132,9 @@ class Gaussian(Law):
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = linalg.add_vectors(linalg.times_vector(gain, usable), self.center)
         kept = linalg.add(linalg.identity_like(P), -linalg.product(gain, H))
-        joseph = linalg.add(linalg.sandwich(kept, P), linalg.sandwich(gain, R))
-        joseph = _without_rounding(joseph, jnp.any(exact, axis=0), gain, H, P)
+        reach = linalg.add(linalg.identity_like(P), linalg.product(jnp.abs(gain), jnp.abs(H)))
+        parts = ((linalg.sandwich(kept, P), reach, P), (linalg.sandwich(gain, R), jnp.abs(gain), R))
+        joseph = linalg.add(*(_without_rounding(part, jnp.any(exact, axis=0), size, of) for part, size, of in parts))
         return Correction(_kept_where(jnp.isnan(log_evidence), self, Gaussian(center, joseph)), log_evidence, peak)
 
     def corrected_in_turn(
@@ -222,13 +223,19 @@ def _kept_where(lost: jax.Array, before: Gaussian, after: Gaussian) -> Gaussian:
     return Gaussian(jnp.where(lost, before.center, after.center), cov)
 
 
-def _without_rounding(left: jax.Array, exact: jax.Array, gain: jax.Array, H: jax.Array, P: jax.Array) -> jax.Array:
-    """Take out of what a sensor without noise left of P the variances that are rounding: what it says of a state is known for good."""
-    reach = linalg.add(linalg.identity_like(P), linalg.product(jnp.abs(gain), jnp.abs(H)))
-    spread = jnp.sqrt(jnp.maximum(linalg.diagonal_of(P), 0))
+def _without_rounding(part: jax.Array, exact: jax.Array, reach: jax.Array, of: jax.Array) -> jax.Array:
+    """Take out of A B A' the variances that are rounding, where a sensor has no noise: what it says of a state is known for good.
+
+    Args:
+        part: A B A', `(x, x, *n)`.
+        exact: whether some component was measured without noise, `()` or `(n,)`.
+        reach: sizes of the terms that A is made of, `(x, i, *n)`.
+        of: B, `(i, i, *n)`.
+    """
+    spread = jnp.sqrt(jnp.maximum(linalg.diagonal_of(of), 0))
     terms = jnp.square(linalg.times_vector(reach, spread))
-    known = exact & (linalg.diagonal_of(left) <= slack(P.dtype) * terms)
-    return jnp.where(known[:, None] | known[None], 0, left)
+    known = exact & (linalg.diagonal_of(part) <= 2 * jnp.finfo(part.dtype).eps * terms)
+    return jnp.where(known[:, None] | known[None], 0, part)
 
 
 def _terms(S: jax.Array, exact: jax.Array, H: jax.Array, P: jax.Array) -> jax.Array:
