@@ -11,7 +11,7 @@ import pytest
 import motes as mo
 from motes.laws import gaussian
 from motes.laws.mixture import Mixture
-from motes.montecarlo.tempering import _step
+from motes.montecarlo.tempering import _largest_step
 from motes.resampling import reduction
 from tiers import each
 
@@ -53,7 +53,7 @@ def test_chains_that_met_nothing_are_drawn_by_weight():
 def test_steps_of_the_exponent_keep_their_size_at_every_scale(span):
     values = -span * jnp.linspace(0, 1, 200) ** 2
     values = jnp.where(jnp.arange(200) < 150, values, -jnp.inf)
-    step = _step(values, jnp.zeros(()), 0.5)
+    step = _largest_step(values, jnp.zeros(()), 0.5)
     weights = jax.nn.softmax(jnp.where(jnp.isfinite(values), step * values, -jnp.inf))
     assert 0.49 * 150 < 1 / float(jnp.sum(weights**2)) and (step == 1 or 1 / float(jnp.sum(weights**2)) < 0.52 * 150)
 
