@@ -1,4 +1,4 @@
-"""Reproduces paper 003 on real relief: who loses fewer runs, and how near to the bound the others come.
+"""Reproduces Dahia, Musso, Pham, Guibert (2004) on real relief: who loses fewer runs, and how near to the bound the others come.
 
     python papers/dahia2004/reproduce.py [nine fifteen equal maps flat] [--runs 100] [--data FOLDER]
 
@@ -41,7 +41,7 @@ FLAT = {"valley": (TILES, Route(north=60_000, east=160_000, heading=0)), "sea": 
 
 def options() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description="Reproduces paper 003 (Dahia, Musso, Pham, Guibert).")
+    parser = argparse.ArgumentParser(description="Reproduces Dahia, Musso, Pham, Guibert (2004).")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all if none is named")
     parser.add_argument("--runs", type=int, default=100, help="flights (100)")
     parser.add_argument("--data", type=Path, help="folder of elevation files, for maps and flat")

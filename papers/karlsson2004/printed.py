@@ -1,4 +1,4 @@
-"""What paper 000 prints (Karlsson, Schon, Gustafsson 2005), and the errors of its count of flops on its own times."""
+"""What Karlsson, Schon, Gustafsson (2005) print, and the errors of its count of flops on its own times."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Reproduces paper 000: figures 1 to 3 and tables II and III, on this machine.
+"""Reproduces Karlsson, Schon, Gustafsson (2005): figures 1 to 3 and tables II and III, on this machine.
 
     python papers/karlsson2004/reproduce.py [figure1 figure2 figure3 table2 table3 tracks] [--runs 100] [--engine native] [--quick]
 
@@ -34,7 +34,7 @@ PRECISION = 0.05
 
 def options() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description="Reproduces paper 000 (Karlsson, Schon, Gustafsson).")
+    parser = argparse.ArgumentParser(description="Reproduces Karlsson, Schon, Gustafsson (2005).")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all if none is named")
     parser.add_argument("--runs", type=int, default=100, help="sets of measurements (100)")
     parser.add_argument("--engine", choices=ENGINES, help="the one to measure; both if not given")

@@ -1,4 +1,6 @@
-"""Measures what papers 001 and 004 claim: every filter on the growth model, filters told the wrong noise, and two real recordings.
+"""Measures what a lecture and a survey (Djuric 2004) claim.
+
+Every filter on the growth model, filters told the wrong noise, and two real recordings.
 
     python papers/survey2004/reproduce.py [growth noise aircraft river] [--runs 1000] [--data FOLDER]
 
@@ -33,7 +35,7 @@ COLUMNS = (
 
 def options() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description="Measures what papers 001 and 004 claim.")
+    parser = argparse.ArgumentParser(description="Measures what a lecture and a survey (Djuric 2004) claim.")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all if none is named")
     parser.add_argument("--runs", type=int, default=1000, help="sets of measurements (1000)")
     parser.add_argument("--data", type=Path, help="folder of recordings, for aircraft and river")

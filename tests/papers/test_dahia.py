@@ -1,4 +1,4 @@
-"""The program that reproduces paper 003, with few particles over short routes: nothing is judged here, files and tables are looked at."""
+"""The program that reproduces Dahia et al. (2004), over short routes: nothing is judged here, files and tables are looked at."""
 
 import sys
 from dataclasses import replace

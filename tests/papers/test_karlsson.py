@@ -1,4 +1,4 @@
-"""The program that reproduces paper 000, on a clock whose times are known: nothing is timed here."""
+"""The program that reproduces Karlsson, Schon, Gustafsson (2005), on a clock whose times are known: nothing is timed here."""
 
 import csv
 import sys

@@ -147,8 +147,8 @@ def test_smoothers_by_particles(seed, double):
     """A smoother may refuse a sensor without noise, and that of two filters a step without; never anything else."""
     initial, inputs = drawn(seed)
     far = exact(initial, inputs, measured(seed))[0][0] - np.asarray(initial.mean())
-    if stats.chi2.sf(far @ np.linalg.solve(np.asarray(initial.cov()), far), len(far)) < 1e-3:
-        pytest.skip("the first state lies where hundreds of particles have hardly one")
+    # where hundreds of particles have hardly one their averages are off; what they obey is asked all the same
+    found_by_few = stats.chi2.sf(far @ np.linalg.solve(np.asarray(initial.cov()), far), len(far)) > 1e-3
     still = any(np.linalg.matrix_rank(Q) < len(Q) for Q in inputs["Q"][1:])
     for name in sorted(set(SMOOTHERS) - set(EXACT)):
         if name == "Rao-Blackwellized" and len(initial.mean()) == 1:
@@ -158,7 +158,7 @@ def test_smoothers_by_particles(seed, double):
             assert is_sharp(inputs) or (name == "two filters" and still), f"{name}: {found}"
             continue
         off, worst = found
-        assert off < 5, f"{name}: {off:.1f} standard errors"
+        assert off < 5 or not found_by_few, f"{name}: {off:.1f} standard errors"
         assert worst < 1e-4, f"{name}: a path breaks the law of motion by {worst:.1e}"
 
 

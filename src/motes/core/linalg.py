@@ -100,6 +100,16 @@ def _mirrored(a: jax.Array) -> jax.Array:
     return jnp.where(lower if a.ndim == 2 else lower[..., None], a, transpose(a))
 
 
+def reach(a: jax.Array, deviations: jax.Array) -> jax.Array:
+    """Standard deviations `(i, *n)` of A x where all terms of the sums add up: what rounding of A x is a share of.
+
+    Args:
+        a: A, `(i, j, *n)`.
+        deviations: standard deviations of x, `(j, *n)`.
+    """
+    return times_vector(jnp.abs(a), deviations)
+
+
 def rank_update(p: jax.Array, v: jax.Array, scale: jax.Array | float = 1.0) -> jax.Array:
     """P + s v v' for v `(i, *n)` and s `()` or `(n,)`, negative to take away; symmetric up to one rounding for symmetric P."""
     return _mirrored(add(p, v[:, None] * v[None, :] * scale))

@@ -6,7 +6,7 @@ or such a function. Methods that take `X` work on a whole cloud `(x, n)`.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -47,8 +47,6 @@ class Conditional(ABC):
     angles: tuple[int, ...] = ()
     modes: int = 0
     """Number of modes of a jump-Markov system, the index of which is then the last component; 0 where none is."""
-    is_additive: ClassVar[bool] = False
-    """Whether a value is f(x, u, t) and noise."""
     has_moments: bool = False
     """Whether mean function and noise covariance are known."""
     marginalizes: bool = True
@@ -133,8 +131,7 @@ class AdditiveGaussian(Conditional):
         angles: components of z that are angles in radians: differences are wrapped.
     """
 
-    is_additive = has_moments = True
-
+    has_moments = True
     f: UserFunction
     Q: MatrixLike
     angles: tuple[int, ...] = static(default=())
@@ -237,7 +234,6 @@ class AdditiveNoise(Conditional):
         angles: components of z that are angles in radians.
     """
 
-    is_additive = True
     f: UserFunction
     law: Law
     angles: tuple[int, ...] = static(default=())
@@ -261,7 +257,7 @@ class AdditiveNoise(Conditional):
     @property
     def marginalizes(self) -> bool:  # type: ignore[override]
         """Only noise with independent components, or a Gaussian mixture, can leave one out."""
-        return self.law.independent or self.law.marginalizes
+        return self.law.marginalizes
 
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Return the law given one state."""

@@ -25,7 +25,7 @@ def slack(dtype: Any) -> float:
 
 
 def carried(dtype: Any) -> float:
-    """The same of a state that was found from measurements, where a division by what is left of a variance costs up to half the digits."""
+    """Share of their size that states found from measurements are trusted to: dividing by small variances costs half the digits."""
     return float(jnp.finfo(dtype).eps) ** 0.5
 
 

@@ -43,7 +43,7 @@ class FactoredGaussian(Law):
     def moved(self, center: jax.Array, slope: jax.Array, noise: jax.Array) -> "FactoredGaussian":
         """Return the law of a state about the center `(x,)`, moved by a slope `(x, x)` with noise of covariance `(x, x)`."""
         both = jnp.concatenate([linalg.product(slope, self.factor), linalg.cholesky(noise)], axis=1)
-        terms = jnp.sqrt(self._terms(slope) ** 2 + linalg.diagonal_of(noise))
+        terms = jnp.sqrt(linalg.reach(slope, self._deviations()) ** 2 + linalg.diagonal_of(noise))
         return FactoredGaussian(center, linalg.triangle(both, terms))
 
     def corrected(self, innovation: jax.Array, H: jax.Array, R: jax.Array, seen: jax.Array) -> "Correction[FactoredGaussian]":
@@ -56,7 +56,7 @@ class FactoredGaussian(Law):
         nothing = jnp.zeros((self.center.shape[0], size), self.factor.dtype)
         noise = linalg.cholesky(R)
         rows = [[noise, linalg.product(H, self.factor)], [nothing, self.factor]]
-        terms = jnp.concatenate([jnp.sqrt(self._terms(H) ** 2 + linalg.diagonal_of(R)), self._terms(linalg.identity_like(self.factor))])
+        terms = jnp.concatenate([jnp.sqrt(linalg.reach(H, self._deviations()) ** 2 + linalg.diagonal_of(R)), self._deviations()])
         triangle = linalg.triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]), terms)
         factor, gain, left = triangle[:size, :size], triangle[size:, :size], triangle[size:, size:]
         size, exact = linalg.times_vector(jnp.abs(H), jnp.abs(self.center)), ~(linalg.diagonal_of(noise) > 0)
@@ -65,9 +65,9 @@ class FactoredGaussian(Law):
         center = self.center + linalg.times_vector(gain, linalg.solve_lower(factor, usable))
         return Correction(FactoredGaussian(center, left), log_evidence, peak)
 
-    def _terms(self, slope: jax.Array) -> jax.Array:
-        """Standard deviations `(y,)` of what a slope `(y, x)` makes of the state, had all terms one sign: how large rounding takes it."""
-        return linalg.times_vector(jnp.abs(slope), jnp.sqrt(jnp.sum(self.factor**2, axis=1)))
+    def _deviations(self) -> jax.Array:
+        """Standard deviations of the states, `(x,)`."""
+        return jnp.sqrt(jnp.sum(self.factor**2, axis=1))
 
     def inflated(self, factor: float) -> "FactoredGaussian":
         """Return the law with its covariance times a factor."""

@@ -123,7 +123,7 @@ class Gaussian(Law):
         cross = linalg.product(H, P)
         exact = noiseless(R)
         S = linalg.symmetric(linalg.add(linalg.product_transposed(cross, H), R))
-        factor = linalg.cholesky(S, _terms(S, exact, H, P))
+        factor = linalg.cholesky(S, _pivots(S, exact, _terms(H, P)))
         # the barriers keep compilers from working factor and gain out again for every entry that uses them
         factor = jax.lax.optimization_barrier(factor)
         size = linalg.times_vector(jnp.abs(H), jnp.abs(self.center))
@@ -132,9 +132,10 @@ class Gaussian(Law):
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = linalg.add_vectors(linalg.times_vector(gain, usable), self.center)
         kept = linalg.add(linalg.identity_like(P), -linalg.product(gain, H))
-        reach = linalg.add(linalg.identity_like(P), linalg.product(jnp.abs(gain), jnp.abs(H)))
-        parts = ((linalg.sandwich(kept, P), reach, P), (linalg.sandwich(gain, R), jnp.abs(gain), R))
-        joseph = linalg.add(*(_without_rounding(part, jnp.any(exact, axis=0), size, of) for part, size, of in parts))
+        terms = linalg.add(linalg.identity_like(P), linalg.product(jnp.abs(gain), jnp.abs(H)))  # those that `kept` is the sum of
+        known = jnp.any(exact, axis=0)
+        joseph = linalg.add(_without_rounding(linalg.sandwich(kept, P), known, _terms(terms, P)),
+                            _without_rounding(linalg.sandwich(gain, R), known, _terms(gain, R)))
         return Correction(_kept_where(jnp.isnan(log_evidence), self, Gaussian(center, joseph)), log_evidence, peak)
 
     def corrected_in_turn(
@@ -223,25 +224,19 @@ def _kept_where(lost: jax.Array, before: Gaussian, after: Gaussian) -> Gaussian:
     return Gaussian(jnp.where(lost, before.center, after.center), cov)
 
 
-def _without_rounding(part: jax.Array, exact: jax.Array, reach: jax.Array, of: jax.Array) -> jax.Array:
-    """Take out of A B A' the variances that are rounding, where a sensor has no noise: what it says of a state is known for good.
-
-    Args:
-        part: A B A', `(x, x, *n)`.
-        exact: whether some component was measured without noise, `()` or `(n,)`.
-        reach: sizes of the terms that A is made of, `(x, i, *n)`.
-        of: B, `(i, i, *n)`.
-    """
-    spread = jnp.sqrt(jnp.maximum(linalg.diagonal_of(of), 0))
-    terms = jnp.square(linalg.times_vector(reach, spread))
-    known = exact & (linalg.diagonal_of(part) <= 2 * jnp.finfo(part.dtype).eps * terms)
-    return jnp.where(known[:, None] | known[None], 0, part)
+def _terms(a: jax.Array, cov: jax.Array) -> jax.Array:
+    """Size of what the diagonal of A P A' is made of, `(y, *n)`, for A `(y, x, *n)` and P `(x, x, *n)`."""
+    return jnp.square(linalg.reach(a, jnp.sqrt(jnp.maximum(linalg.diagonal_of(cov), 0))))
 
 
-def _terms(S: jax.Array, exact: jax.Array, H: jax.Array, P: jax.Array) -> jax.Array:
-    """Size of what the diagonal of S = H P H' + R is made of, `(y, *n)`; where there is noise that of S, which is never below R."""
-    spread = jnp.sqrt(jnp.maximum(linalg.diagonal_of(P), 0))
-    terms = jnp.square(linalg.times_vector(jnp.abs(H), spread))
+def _without_rounding(cov: jax.Array, exact: jax.Array, terms: jax.Array) -> jax.Array:
+    """Take out the variances that are rounding of their terms, where a sensor has no noise: what it says of a state is known for good."""
+    known = exact & (linalg.diagonal_of(cov) <= 2 * jnp.finfo(cov.dtype).eps * terms)
+    return jnp.where(known[:, None] | known[None], 0, cov)
+
+
+def _pivots(S: jax.Array, exact: jax.Array, terms: jax.Array) -> jax.Array:
+    """Size by which pivots of S = H P H' + R are judged, `(y, *n)`: of terms; where there is noise of S, which is never below R."""
     own = linalg.diagonal_of(S)
     exact = exact[:, None] if own.ndim > exact.ndim else exact
     return jnp.where(exact, terms if terms.ndim == own.ndim else terms[:, None], own)

@@ -16,14 +16,17 @@ class Law(ABC):
 
     independent: bool = False
     """Whether the components are independent."""
-    marginalizes: bool = False
-    """Whether the density can leave out components that are missing (NaN); of independent ones it can."""
     has_moments: bool = True
     """Whether mean and covariance are known; a law that has none refuses to tell them."""
     weighted: ClassVar[bool] = False
     """Whether the law is made of weighted parts, of normalized `log_weights` `(n,)`."""
     marks_ancestors: ClassVar[bool] = False
     """Whether its `ancestors` `(n,)` say which part each came from."""
+
+    @property
+    def marginalizes(self) -> bool:
+        """Whether the density can leave out components that are missing (NaN); of independent ones it can."""
+        return self.independent
 
     @abstractmethod
     def mean(self) -> jax.Array:

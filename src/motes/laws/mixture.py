@@ -35,7 +35,8 @@ class Mixture(Law):
         log_weights: normalized, `(n,)`.
     """
 
-    weighted = marginalizes = True
+    weighted = True
+    marginalizes = True  # type: ignore[override]
     parts: Gaussian
     log_weights: jax.Array
 

@@ -116,7 +116,7 @@ class StateSpaceModel(Model):
 
     def measurement_size(self, inputs_of_step: Inputs) -> int | None:
         """Return the number of measured components, or None where only the data can tell (a custom density)."""
-        if not self.sensor.is_additive:
+        if not isinstance(self.sensor, (AdditiveGaussian, AdditiveNoise)):
             return None
         x = jax.ShapeDtypeStruct((self.size,), self.dtype)
         return _predicted(self.sensor, x, inputs_of_step, jax.ShapeDtypeStruct((), jnp.int32))[0]
