@@ -53,12 +53,29 @@ def choice():
 def page(name, cls):
     """Return the text of a method's own page."""
     method = inspect.getdoc(inspect.getmodule(cls))
-    about, found = inspect.getdoc(cls).partition("\nAttributes:\n")[0], parameters(cls)
+    about, source, example = parts(cls)
     defaults = {field.name: field.default for field in dataclasses.fields(cls)}
-    table = "".join(f"| `{parameter}` | {' '.join(text.split())} | {shown(defaults[parameter])} |\n" for parameter, text in found.items())
-    table = f"\n| parameter | meaning | default |\n| --- | --- | --- |\n{table}" if found else ""
+    table = "".join(f"| `{parameter}` | {' '.join(text.split())} | {shown(defaults[parameter])} |\n"
+                    for parameter, text in parameters(cls).items())  # fmt: skip
+    table = f"\n| parameter | meaning | default |\n| --- | --- | --- |\n{table}" if table else ""
     guide = f"\nNeeds: {cls.guide.needs}. Cost of a step: {cls.guide.cost}. Use: {cls.guide.use}.\n" if issubclass(cls, mo.Filter) else ""
-    return f"# `{name}`\n\n{method}\n\n## Parameters\n\n{about.strip()}\n{table}{guide}"
+    shows = f"```python\n{code(example)}```\n"
+    return f"# `{name}`\n\n{method}\n\n{shows}\n## Parameters\n\n{about}\n{table}{guide}\n{source}\n"
+
+
+def parts(cls):
+    """Return what a class says of itself before its parameters: description, source, example."""
+    text = inspect.getdoc(cls).partition("\nAttributes:\n")[0]
+    about, _, rest = text.partition("\nSource: ")
+    source, _, example = rest.partition("\nExample:\n")
+    return about.strip(), f"Source: {source.strip()}", inspect.cleandoc(example)
+
+
+def code(example):
+    """Return the code of an example, with what it needs, and what it prints as a comment."""
+    lines = [line[4:] if line.startswith(">>> ") else f"# {line}" for line in example.splitlines()]
+    needed = ["import jax", "import jax.numpy as jnp"] if "jax." in example else ["import jax.numpy as jnp"] if "jnp." in example else []
+    return "\n".join([*needed, "import motes as mo", "", *lines, ""])
 
 
 def parameters(cls):

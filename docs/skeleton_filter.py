@@ -57,6 +57,6 @@ class SkeletonFilter(TwoStageFilter):
         """Take in y; missing components, collapse and its policy are seen to by `update_weights` and the base class."""
 
         def likelihood_of(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
-            return cloud, model.sensor.log_prob(y, cloud.particles, u, t), model.sensor.ceiling(y, cloud.particles, u, t)
+            return cloud, model.sensor.log_prob(y, cloud.particles, u, t), model.sensor.max_log_prob(y, cloud.particles, u, t)
 
         return update_weights(state, likelihood_of)

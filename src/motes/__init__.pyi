@@ -43,7 +43,6 @@ from .filters.kalman import KalmanFilter as KalmanFilter
 from .filters.kernel import KalmanParticleKernelFilter as KalmanParticleKernelFilter
 from .filters.marginalized import MarginalizedParticleFilter as MarginalizedParticleFilter
 from .filters.marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
-from .filters.parallel import run_in_parallel as run_in_parallel
 from .filters.particle import ParticleFilter as ParticleFilter
 from .filters.point_mass import PointMassFilter as PointMassFilter
 from .filters.proposals import ExtendedKalmanProposal as ExtendedKalmanProposal
@@ -69,6 +68,7 @@ from .laws.noise import Uniform as Uniform
 from .mcmc.chains import Chains as Chains
 from .mcmc.sample import sample as sample
 from .models import terrain as terrain
+from .models import textbook as textbook
 from .models.interface import Model as Model
 from .models.jump_markov import JumpMarkovModel as JumpMarkovModel
 from .models.mixed_linear import MixedLinearModel as MixedLinearModel

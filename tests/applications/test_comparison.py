@@ -13,7 +13,7 @@ from motes.applications.terrain_navigation.settings import Noises, Route
 def row(errors, nees, bound=25.0):
     """Judge made-up runs `(run, t, 2)` with a bound of 5 m along each axis."""
     bounds = np.broadcast_to(bound * np.eye(2), (errors.shape[1], 2, 2))
-    return dict(zip(comparison.COLUMNS, comparison.judged("x", comparison.Flown(errors, errors / 10, nees, 1e-3), bounds), strict=True))
+    return dict(zip(comparison.COLUMNS, comparison.row_of("x", comparison.Flown(errors, errors / 10, nees, 1e-3), bounds), strict=True))
 
 
 def test_figures_of_made_up_runs():

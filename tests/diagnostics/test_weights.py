@@ -35,8 +35,9 @@ def test_ancestors_by_hand():
     parents = jnp.array([[0, 1, 2, 3, 4], [0, 0, 2, 2, 4], [1, 1, 2, 3, 3]], jnp.int32)
     laws = mo.laws.Cloud(history.law.particles, history.law.log_weights, parents)
     history = mo.History({**history.kept, "law": laws}, history.info, history.last, history.start, history.names, "")
-    assert mo.diagnostics.founders(history).tolist() == [0, 0, 2, 2, 2]
-    assert mo.diagnostics.surviving(history, 1).tolist() == [3, 3] and mo.diagnostics.surviving(history, 2).tolist() == [2]
+    assert mo.diagnostics.first_ancestors(history).tolist() == [0, 0, 2, 2, 2]
+    assert mo.diagnostics.surviving_ancestors(history, 1).tolist() == [3, 3]
+    assert mo.diagnostics.surviving_ancestors(history, 2).tolist() == [2]
 
 
 @pytest.mark.night
@@ -47,7 +48,7 @@ def test_variance_of_the_log_likelihood_from_one_run():
     keys = jax.random.split(jax.random.key(1), 400)
     many = np.asarray(jax.vmap(lambda key: mo.run(key, filter, model(), ys).log_likelihood)(keys), float)
     estimates = [mo.diagnostics.log_likelihood_variance(mo.run(key, filter, model(), ys, keep=mo.keep.laws)) for key in range(60)]
-    assert all(estimate.founders > 20 for estimate in estimates)
+    assert all(estimate.first_ancestors > 20 for estimate in estimates)
     found = [estimate.variance for estimate in estimates]
     error = np.hypot(np.std(found, ddof=1) / np.sqrt(60), many.var(ddof=1) * np.sqrt(2 / 399))
     assert abs(np.mean(found) - many.var(ddof=1)) < 4.9 * error
@@ -60,9 +61,9 @@ def test_bad_input_is_named():
     laws = mo.run(0, mo.ParticleFilter(n=5), model(), ys, keep=mo.keep.laws)
     later = mo.run(0, mo.ParticleFilter(n=5), model(), ys, keep=mo.keep.laws, after=laws)
     for line, call in {
-        "history.law: expected a run that kept it": lambda: mo.diagnostics.founders(moments),
-        "founders history: expected laws with ancestors, got Gaussian": lambda: mo.diagnostics.founders(kalman),
-        "surviving lag: expected less than the 4 steps": lambda: mo.diagnostics.surviving(laws, 4),
+        "history.law: expected a run that kept it": lambda: mo.diagnostics.first_ancestors(moments),
+        "first_ancestors history: expected laws with ancestors, got Gaussian": lambda: mo.diagnostics.first_ancestors(kalman),
+        "surviving_ancestors lag: expected less than the 4 steps": lambda: mo.diagnostics.surviving_ancestors(laws, 4),
         "log_likelihood_variance history: expected a run from step 0, got one from step 4": lambda: mo.diagnostics.log_likelihood_variance(
             later
         ),

@@ -123,10 +123,10 @@ def test_false_alarms(name):
 
 
 def test_the_cumulative_sum_of_all_steps_at_once():
-    history = mo.run_in_parallel(TRUE, YS)
+    history = mo.filters.run_in_parallel(TRUE, YS)
     assert not history.info.alarm.any()
     with pytest.warns(mo.MotesWarning, match="alarm"):
-        wrong = mo.run_in_parallel(FALSE, YS)
+        wrong = mo.filters.run_in_parallel(FALSE, YS)
     with pytest.warns(mo.MotesWarning):
         scanned = mo.run(0, mo.KalmanFilter(), FALSE, YS)
     np.testing.assert_allclose(wrong.info.nis, scanned.info.nis, rtol=1e-3, atol=1e-3)

@@ -310,7 +310,7 @@ def test_liu_west_knows_them():
 
 def test_what_cannot_be_is_refused():
     for wrong in (lambda: model_of(moved, (2,)), lambda: replace_circular((5,)),
-                  lambda: mo.run_in_parallel(LINEAR_HEADING, world()[1], inputs(False))):
+                  lambda: mo.filters.run_in_parallel(LINEAR_HEADING, world()[1], inputs(False))):
         with pytest.raises(mo.MotesError, match="angles|circular"):
             wrong()
 

@@ -136,7 +136,7 @@ def test_steps_that_no_element_can_hold_are_refused():
     model = sharp()
     model = mo.StateSpaceModel(model.initial, mo.LinearGaussian(np.eye(2), np.diag([0.0, 0.2])), model.sensor)
     with pytest.raises(mo.MotesError, match="run_in_parallel model: expected noise .* none at step 1"):
-        mo.run_in_parallel(model, YS)
+        mo.filters.run_in_parallel(model, YS)
 
 
 def driven(A, noise):

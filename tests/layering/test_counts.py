@@ -79,7 +79,7 @@ FOREIGN = {
     "laws/spelled.py": "records among the names of a file",
     "tracing/reading.py": "whatever a user's function reads",
     "tracing/identity.py": "records of ours among them",
-    "core/told.py": "what wraps a user's function",
+    "core/user_functions.py": "what wraps a user's function",
     "core/record.py": "named tuples",
     "mcmc/pseudo_marginal.py": "a density of the user's that can be estimated",
     "mcmc/sample.py": "a density of the user's that can be estimated",

@@ -59,16 +59,16 @@ def joint(kernel, seed=0):
             return lambda x: TWO_MODES.log_prob(x) + log_likelihood(x, y)
 
         def again(held, t):
-            x, y, memory = held
+            x, y, kernel_state = held
             step = random.step_key(key, t)
-            state = mcmc.State(x, density(y)(x), memory)
+            state = mcmc.State(x, density(y)(x), kernel_state)
             # long after all learning
             state, _ = kernel.step(random.child(step, random.FILTER), density(y), state, t + 10_000)
             y = measured(random.child(step, random.WORLD), state.position[:, None])[0]
-            return (state.position, y, state.memory), None
+            return (state.position, y, state.kernel_state), None
 
-        memory = kernel.remembered(density(y), x)
-        return jax.lax.scan(again, (x, y, memory), jnp.arange(ROUNDS))[0][:2]
+        kernel_state = kernel.init_kernel_state(density(y), x)
+        return jax.lax.scan(again, (x, y, kernel_state), jnp.arange(ROUNDS))[0][:2]
 
     key = random.as_key(seed)
     x = prior(random.child(key, 0), WORLDS)

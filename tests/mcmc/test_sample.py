@@ -228,7 +228,7 @@ def test_a_kernel_drawn_now_and_then_learns_its_shape_too():
     wide = mo.Gaussian(jnp.zeros(2), jnp.diag(jnp.array([1.0, 1e4])))
     kernel = mcmc.Mix([mcmc.Adaptive(mcmc.RandomWalkMetropolis(), steps=4_000), mcmc.RandomWalkMetropolis(0.1)], [1, 3])
     chains = mo.sample(0, kernel, wide.log_prob, jnp.zeros(2), draws=100, chains=8, burn_in=4_000)
-    assert np.median(chains.last.memory[0].factor[:, 1, 1]) > 30
+    assert np.median(chains.last.kernel_state[0].factor[:, 1, 1]) > 30
 
 
 def test_continuing_with_what_does_not_fit_is_refused(tmp_path):

@@ -88,9 +88,9 @@ def test_weighing(n):
         generator.normal(size=n) * 3, np.where(np.arange(n) % 3 == 0, np.nan, generator.normal(size=n) - 1e4), np.full(n, -np.inf),
         np.where(np.arange(n) == 17, np.inf, 0.0), np.full(n, -3e9), np.full(n, np.nan), np.where(np.arange(n) < n - 1, -np.inf, -5.0),
     ]  # fmt: skip
-    for ceiling in (jnp.inf, 3.0, np.abs(generator.normal(size=n)) * 10):
+    for max_log_likelihood in (jnp.inf, 3.0, np.abs(generator.normal(size=n)) * 10):
         for values in cases:
-            given = (before, jnp.asarray(values, jnp.float32), jnp.asarray(ceiling, jnp.float32))
+            given = (before, jnp.asarray(values, jnp.float32), jnp.asarray(max_log_likelihood, jnp.float32))
             wanted, found = logspace.joint_weights(*given)
             with engine.using("native"):
                 ours, numbers = logspace.joint_weights(*given)

@@ -53,7 +53,7 @@ def test_resampling_keeps_mean_and_covariance(kernels, policy, double):
 
     def once(key):
         ancestors = mo.resampling.Systematic().ancestors(random.child(key, 0), law.log_weights, 40)
-        after = split(random.child(key, 1), law.picked(ancestors) if policy.needed(law.log_weights) is not False else law)
+        after = split(random.child(key, 1), law.resampled(ancestors) if policy.needed(law.log_weights) is not False else law)
         return after.mean(), after.cov() + jnp.outer(after.mean(), after.mean()), after.parts.covariance
 
     means, squares, covs = jax.jit(jax.vmap(once))(jax.random.split(jax.random.key(3), REPEATS))

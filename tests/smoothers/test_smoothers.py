@@ -190,10 +190,14 @@ def test_a_second_call_does_not_trace_again():
 
     model = record.replace(linear(), dynamics=mo.AdditiveGaussian(f, linear().dynamics.Q))
     ys = data(linear())
-    for key in (1, 2):
+
+    def traced_and_compiled(key):
         history = mo.run(key, mo.ExtendedKalmanFilter(), model, ys)
         mo.smooth(key, mo.smoothers.RauchTungStriebelSmoother(), model, history)
-        count, compiled = (count, compiled) if key == 2 else (len(calls), smoothing._smooth._cache_size())
+        return len(calls), smoothing._smooth._cache_size()
+
+    count, compiled = traced_and_compiled(1)
+    traced_and_compiled(2)
     # a function whose list grew, as f itself lets it, is looked at once more for each call, but not compiled
     assert 0 < count <= len(calls) <= count + 2 and smoothing._smooth._cache_size() == compiled
 

@@ -37,6 +37,6 @@ class TextbookFilter(mo.filters.TwoStageFilter):
         gain = jnp.linalg.solve(S, H @ state.covariance).T
         cov = state.covariance - gain @ S @ gain.T
         law = mo.Gaussian(state.center + gain @ innovation, (cov + cov.T) / 2)
-        peak = -0.5 * (jnp.sum(seen) * jnp.log(2 * jnp.pi) + jnp.linalg.slogdet(S)[1])
-        evidence = peak - 0.5 * innovation @ jnp.linalg.solve(S, innovation)
-        return law, single(Correction(law, evidence, peak, jnp.sum(seen)))
+        max_log_evidence = -0.5 * (jnp.sum(seen) * jnp.log(2 * jnp.pi) + jnp.linalg.slogdet(S)[1])
+        evidence = max_log_evidence - 0.5 * innovation @ jnp.linalg.solve(S, innovation)
+        return law, single(Correction(law, evidence, max_log_evidence, jnp.sum(seen)))

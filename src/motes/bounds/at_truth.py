@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from motes.bounds.bound import Bound
 from motes.core import checks
@@ -15,6 +16,7 @@ from motes.core.types import Inputs
 from motes.gaussian.taylor import Taylor, affine
 from motes.laws.gaussian import Gaussian
 from motes.models.canonical import canonical, one_of
+from motes.models.interface import Model
 from motes.models.state_space import StateSpaceModel, as_state_space, at_step, checked_inputs
 from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
@@ -22,7 +24,7 @@ from motes.tracing.identity import Beside
 KIND = "Kalman filter at the true track"
 
 
-def kalman_at_truth(model: Any, xs: jax.Array, inputs: Inputs = None) -> Bound:
+def kalman_at_truth(model: Model, xs: ArrayLike, inputs: Inputs = None) -> Bound:
     """Covariance of the linear Kalman filter with Jacobians taken at one given track.
 
     The yardstick for runs that share a fixed track, for which the posterior Cramer-Rao bound, an average over tracks, says nothing. It is

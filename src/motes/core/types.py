@@ -3,20 +3,22 @@
 Arrays of particles have the particle axis last. A trailing `*n` means: one for all, or one per particle.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-from jaxtyping import Array, Float, Key
+from jax.typing import ArrayLike
 
-KeyLike = Key[Array, ""] | int
-LogWeights = Float[Array, " n"]
-Scalar = Float[Array, ""]
+KeyLike = jax.Array | int
+"""A JAX key, or an integer seed."""
 Inputs = Any
 """What the user gives per step: any tree of arrays with the time axis first, or None."""
+
+Measurements = ArrayLike | Sequence[Any]
+"""Measurements of a run `(t, y)`: an array, a masked one, or nested sequences in which None and NA stand for what is missing."""
 
 UserFunction = Callable[[jax.Array, Any, Any], Any]
 """`f(x, u, t)`: one state `(x,)`, the inputs of the step, the step index; never batched."""
 
-MatrixLike = jax.Array | UserFunction
+MatrixLike = ArrayLike | UserFunction
 """A matrix, or a user function that returns one."""

@@ -13,10 +13,11 @@ import numpy as np
 
 from motes.core import checks
 from motes.core.record import record, replace, values
-from motes.core.types import Inputs
+from motes.core.types import Inputs, Measurements
 from motes.filters.data import checked_data
 from motes.filters.interface import Filter
 from motes.filters.run import run
+from motes.models.interface import Model
 
 REPEATS = 7
 SPAN = 0.2
@@ -87,13 +88,15 @@ def least_seconds(call: Callable[[], Any], repeats: int = REPEATS, span: float =
     return min(times)
 
 
-def whole_run(filter: Filter, model: Any, ys: jax.Array, inputs: Inputs = None) -> Callable[[], Any]:
+def whole_run(filter: Filter, model: Model, ys: Measurements, inputs: Inputs = None) -> Callable[[], Any]:
     """Return the call that is timed; where all weights vanish it goes on, which takes the same time."""
     going_on = replace(filter, on_collapse="predict")
     return lambda: run(0, going_on, model, ys, inputs)
 
 
-def seconds_per_step(filter: Filter, model: Any, ys: jax.Array, inputs: Inputs = None, repeats: int = REPEATS, span: float = SPAN) -> float:
+def seconds_per_step(
+    filter: Filter, model: Model, ys: Measurements, inputs: Inputs = None, repeats: int = REPEATS, span: float = SPAN
+) -> float:
     """Time one step of a filter within a compiled run over measurements.
 
     A run of one step is timed too and taken away, with all that happens once a run: the first particles, the call itself.
@@ -123,7 +126,7 @@ def seconds_per_step(filter: Filter, model: Any, ys: jax.Array, inputs: Inputs =
 
 
 def fit_step_time(
-    filter: Filter, model: Any, ys: jax.Array, inputs: Inputs = None, particles: tuple[int, ...] = PARTICLES, repeats: int = REPEATS
+    filter: Filter, model: Model, ys: Measurements, inputs: Inputs = None, particles: tuple[int, ...] = PARTICLES, repeats: int = REPEATS
 ) -> StepTime:
     """Time a filter with a few numbers of particles and draw a line through the times.
 

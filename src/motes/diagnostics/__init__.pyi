@@ -7,7 +7,7 @@ from .sets import Gospa as Gospa
 from .sets import gospa as gospa
 from .sets import ospa as ospa
 from .weights import LikelihoodVariance as LikelihoodVariance
-from .weights import founders as founders
+from .weights import first_ancestors as first_ancestors
 from .weights import log_likelihood_variance as log_likelihood_variance
 from .weights import pareto_k as pareto_k
-from .weights import surviving as surviving
+from .weights import surviving_ancestors as surviving_ancestors

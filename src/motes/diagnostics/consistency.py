@@ -1,10 +1,11 @@
 """Whether errors and innovations have the size that the filter claims (Bar-Shalom, Li, Kirubarajan 2001, section 5.4)."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from scipy.special import gammaincinv, ndtri
 
 from motes.core import checks, linalg
@@ -48,7 +49,7 @@ def chi_square_band(dimension: int, runs: int = 1, level: float = 0.99) -> Band:
     return Band(float(low), float(high))
 
 
-def nees(history: History, truth: Any, angles: tuple[int, ...] = ()) -> jax.Array:
+def nees(history: History, truth: ArrayLike, angles: tuple[int, ...] = ()) -> jax.Array:
     """Normalized estimation error squared of each step, `(t,)`: about the number of states if the covariances are right.
 
     Args:
@@ -71,10 +72,10 @@ def nis(history: History) -> jax.Array:
     """
     if history.state.weighted:
         checks.refuse("nis history", "a run of a Kalman filter of some kind", type(history.state).__name__, "mo.diagnose looks at any run.")
-    return 2 * history.info.gap
+    return 2 * history.info.shortfall
 
 
-def coverage(history: History, truth: Any, level: float = 0.95) -> jax.Array:
+def coverage(history: History, truth: ArrayLike, level: float = 0.95) -> jax.Array:
     """Share of steps at which each true state lies within its central interval, `(x,)`; about the level if the claims are right.
 
     Args:
@@ -92,7 +93,7 @@ def coverage(history: History, truth: Any, level: float = 0.95) -> jax.Array:
     return jnp.nanmean(jnp.where(jnp.isnan(off), jnp.nan, off <= widest), axis=0)
 
 
-def _errors(argument: str, history: History, truth: Any, angles: tuple[int, ...] = ()) -> jax.Array:
+def _errors(argument: str, history: History, truth: ArrayLike, angles: tuple[int, ...] = ()) -> jax.Array:
     """Truth less means `(t, x)`, the short way round in angles."""
     return wrap((checks.as_float(argument, truth) - history.mean).T, (*history.circular, *angles)).T
 

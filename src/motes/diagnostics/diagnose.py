@@ -9,7 +9,7 @@ from motes.core import checks
 from motes.core.findings import Diagnosis, Finding
 from motes.diagnostics.consistency import chi_square_band, nees
 from motes.diagnostics.undeclared import undeclared_angles
-from motes.diagnostics.weights import TRUSTED, pareto_k, surviving
+from motes.diagnostics.weights import TRUSTED, pareto_k, surviving_ancestors
 from motes.filters import notices
 from motes.filters.history import History
 
@@ -54,7 +54,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
 
 
 def _innovations(history: History) -> list[Finding]:
-    gaps = np.asarray(history.info.gap, np.float64)
+    gaps = np.asarray(history.info.shortfall, np.float64)
     usual = history.last.y.shape[0] / 2
     far = (gaps > FAR + usual) | np.asarray(history.info.collapsed)
     runs = _in_a_row(far)
@@ -112,7 +112,7 @@ def _laws(history: History) -> list[Finding]:
     ancestors = getattr(history.law, "ancestors", None)
     lag = 10
     if ancestors is not None and len(ancestors) > lag:
-        alive = surviving(history, lag)
+        alive = surviving_ancestors(history, lag)
         if alive.min() <= 1 < ancestors.shape[1]:
             text = f"at {int(np.sum(alive <= 1))} steps all particles descend from one particle of {lag} steps before."
             found.append(Finding("degenerate paths", text, "Filtered estimates may still be right; smooth by backward simulation.", False))

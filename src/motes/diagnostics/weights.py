@@ -53,27 +53,27 @@ def _zhang_stephens(x: jax.Array, counts: jax.Array) -> jax.Array:
     return (fitted * m + 5) / (m + 10)
 
 
-def founders(history: History) -> jax.Array:
+def first_ancestors(history: History) -> jax.Array:
     """Index of the particle at the first step from which each particle of the last descends, `(n,)`.
 
     Raises:
         MotesError: laws were not kept, or have no ancestors.
     """
-    ancestors = _ancestors("founders", history)
+    ancestors = _ancestors("first_ancestors", history)
     everyone = jnp.arange(ancestors.shape[1], dtype=jnp.int32)
     return jax.lax.scan(lambda own, before: (before[own], None), everyone, ancestors[1:], reverse=True)[0]
 
 
-def surviving(history: History, lag: int) -> np.ndarray:
+def surviving_ancestors(history: History, lag: int) -> np.ndarray:
     """Number of different particles `lag` steps before from which those of each step descend, `(t - lag,)`.
 
     Raises:
         MotesError: laws were not kept, have no ancestors, or the run is not longer than the lag.
     """
-    parents = np.asarray(_ancestors("surviving", history))
-    checks.positive_integer("surviving lag", lag)
+    parents = np.asarray(_ancestors("surviving_ancestors", history))
+    checks.positive_integer("surviving_ancestors lag", lag)
     if len(parents) <= lag:
-        checks.refuse("surviving lag", f"less than the {len(parents)} steps of the run", lag)
+        checks.refuse("surviving_ancestors lag", f"less than the {len(parents)} steps of the run", lag)
     found = []
     for t in range(lag, len(parents)):
         own = np.unique(parents[t])
@@ -95,11 +95,11 @@ class LikelihoodVariance(NamedTuple):
 
     Attributes:
         variance: of the log likelihood over runs with other keys.
-        founders: number of particles of the first step that have descendants in the last; below some 20 the estimate is too low.
+        first_ancestors: number of particles of the first step that have descendants in the last; below some 20 the estimate is too low.
     """
 
     variance: float
-    founders: int
+    first_ancestors: int
 
 
 def log_likelihood_variance(history: History) -> LikelihoodVariance:
@@ -113,7 +113,7 @@ def log_likelihood_variance(history: History) -> LikelihoodVariance:
     """
     if int(history.start) != 0:
         checks.refuse("log_likelihood_variance history", "a run from step 0", f"one from step {int(history.start)}", "Join its pieces.")
-    first = np.asarray(founders(history))
+    first = np.asarray(first_ancestors(history))
     if "scheme=Multinomial()" not in history.label:
         checks.refuse("log_likelihood_variance history", "a filter with scheme=Multinomial()", history.label,
                       "Other schemes give families that tell less of the variance.")

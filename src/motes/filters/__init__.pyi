@@ -3,3 +3,4 @@ from .explain import Explanation as Explanation
 from .info import Info as Info
 from .interface import TwoStageFilter as TwoStageFilter
 from .look_ahead import LookAheadFilter as LookAheadFilter
+from .parallel import run_in_parallel as run_in_parallel

@@ -83,16 +83,16 @@ def some_of(n: int, most: int = MANY) -> slice:
 def few_of(log_weights: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Indices `(k,)` of columns of log weights `(m, n)` that stand for all, and their log weights `(m, k)`.
 
-    Every column, or where they are many some, picked evenly along the sum of their weights, which are too uneven for `some_of`.
+    Every column, or where they are many some, taken evenly along the sum of their weights, which are too uneven for `some_of`.
     """
     n = log_weights.shape[1]
     if n <= FEWEST:
         return jnp.arange(n), log_weights
-    shares = jax.nn.logsumexp(log_weights, axis=0)
-    sums = jnp.cumsum(jnp.exp(shares))
+    totals = jax.nn.logsumexp(log_weights, axis=0)
+    sums = jnp.cumsum(jnp.exp(totals))
     at = (jnp.arange(FEWEST, dtype=sums.dtype) + 0.5) / FEWEST * sums[-1]
-    picked = jnp.clip(jnp.searchsorted(sums, at), 0, n - 1)
-    return picked, log_weights[:, picked] - shares[picked]
+    taken = jnp.clip(jnp.searchsorted(sums, at), 0, n - 1)
+    return taken, log_weights[:, taken] - totals[taken]
 
 
 def within(gate: float, square: jax.Array, freedom: jax.Array) -> jax.Array:
@@ -135,12 +135,12 @@ def of_mixture(
     """
     seen = measured_in(y, covs)
     seen = jnp.all(seen, axis=1) if seen.ndim == 2 else seen
-    told = _spread(angles, centers, log_weights, y, seen)
-    off, weights, size, inside = told.off, told.weights, y.shape[0], among(covs, seen)
-    factor = linalg.cholesky(told.cov + (inside @ weights if inside.ndim == 3 else inside))
-    square = jnp.sum(linalg.solve_lower(factor, told.middle) ** 2)
+    spread = _spread(angles, centers, log_weights, y, seen)
+    off, weights, size, inside = spread.off, spread.weights, y.shape[0], among(covs, seen)
+    factor = linalg.cholesky(spread.cov + (inside @ weights if inside.ndim == 3 else inside))
+    square = jnp.sum(linalg.solve_lower(factor, spread.middle) ** 2)
     # about the predicted mean the squares of the m Gaussians have the mean `size`; their second moment says how they scatter
-    off = linalg.solve_lower(factor, off - told.middle[:, None])
+    off = linalg.solve_lower(factor, off - spread.middle[:, None])
     inside = linalg.solve_lower(factor, linalg.transpose(linalg.solve_lower(factor, inside)))
     own, twice = jnp.trace(inside), jnp.sum(inside**2, axis=(0, 1))
     between = jnp.sum(off**2, axis=0)
@@ -151,7 +151,7 @@ def of_mixture(
         # spread and own covariance add up to the identity: two of the sums over particles are known
         second, share = weights @ between**2 + own * (2 * size - own) + 4 * own - 2 * twice, 1 - own / size
     # few particles know their spread badly: the square scatters as Student's does
-    count = told.count if drawn else jnp.inf
+    count = spread.count if drawn else jnp.inf
     variance = second - size**2 + 2 * size * (size + 2) * share**2 / count
     wider = jnp.maximum(variance / (2 * size), 1)
     freedom = jnp.sum(seen, dtype=y.dtype) / wider
@@ -159,7 +159,7 @@ def of_mixture(
     most = (MOST / wider**3 + 0.5 * np.log(WIDER) * freedom) / (0.5 * (1 - 1 / WIDER))
     square = jnp.minimum(square / (wider * (1 + share / count)), most)
     # a cloud so uneven that the particles asked have none of its weight predicts nothing: its starvation is told otherwise
-    known = told.count > TOO_FEW if drawn else jnp.ones((), bool)
+    known = spread.count > TOO_FEW if drawn else jnp.ones((), bool)
     return Innovation(jnp.where(known, square, 0), jnp.where(known, freedom, 0))
 
 
@@ -194,10 +194,10 @@ def _ranked(sensor: Conditional, draws: jax.Array, log_weights: jax.Array, y: ja
     """Normalized innovation squared of y among weighted draws `(y, m)` of what was predicted."""
     size, count = draws.shape
     seen = ~jnp.isnan(y)
-    told = _spread(sensor.angles, draws, log_weights, y, seen)
-    factor = linalg.cholesky(among(told.cov, seen))
-    square, others = (jnp.sum(linalg.solve_lower(factor, e) ** 2, axis=0) for e in (told.middle, told.off - told.middle[:, None]))
-    rank = jnp.sum(jnp.where(others < square, told.weights, 0))
+    spread = _spread(sensor.angles, draws, log_weights, y, seen)
+    factor = linalg.cholesky(among(spread.cov, seen))
+    square, others = (jnp.sum(linalg.solve_lower(factor, e) ** 2, axis=0) for e in (spread.middle, spread.off - spread.middle[:, None]))
+    rank = jnp.sum(jnp.where(others < square, spread.weights, 0))
     ranks = (np.arange(count + 1) + 0.5) / (count + 1)
     table = np.stack([2 * gammaincinv(degrees / 2, ranks) if degrees else np.zeros(count + 1) for degrees in range(size + 1)])
     measured = jnp.sum(seen)

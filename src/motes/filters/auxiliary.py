@@ -1,7 +1,7 @@
-"""Auxiliary particle filter (Pitt, Shephard 1999): particles are picked by what the next measurement says of them, before they move.
+"""Auxiliary particle filter (Pitt, Shephard 1999): particles are resampled by what the next measurement says of them, before they move.
 
 1. Score each particle x of the step before: s, an estimate of p(y | x).
-2. Where the policy says so for the first-stage weights w s, resample by them; a picked particle then weighs 1 / s of its ancestor.
+2. Where the policy says so for the first-stage weights w s, resample by them; a resampled particle then weighs 1 / s of its ancestor.
 3. Move each particle by the proposal, and multiply its weight by p(y | x') p(x' | x) / q(x' | x, y).
 
 The evidence is the sum of the weights; after resampling that is sum(w s) times the mean of the second-stage weights, which is unbiased.
@@ -34,6 +34,14 @@ class AuxiliaryParticleFilter(LookAheadFilter):
     With `OptimalProposal` it is fully adapted: where particles were resampled all weights are equal, and the evidence given the cloud is
     exact. With the dynamics for proposal, particles are scored by p(y | mean of x'), which misleads where the process noise is wide beside
     the likelihood.
+
+    Source: Pitt, Shephard 1999, Filtering via simulation: auxiliary particle filters.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.AuxiliaryParticleFilter(n=1000), model, ys).mean.shape
+        (50, 1)
 
     Attributes:
         n: number of particles.

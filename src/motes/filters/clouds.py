@@ -43,13 +43,13 @@ def update_weights(cloud: C, likelihood_of: Callable[[C], tuple[C, jax.Array, ja
 
     Args:
         cloud: law of n weighted particles.
-        likelihood_of: gives the corrected cloud, the log likelihood of each particle `(n,)` and its ceiling (see `weigh`), each on its own.
+        likelihood_of: gives the corrected cloud, the log likelihood of each particle `(n,)` and its maximum (see `weigh`), each on its own.
     """
     native = cloudwise.update_weights(cloud, likelihood_of)
     if native is not None:
         return native[0], info_of(native[1])
-    after, likelihood, ceiling = likelihood_of(cloud)
-    weights, info = weigh(cloud.log_weights, likelihood, ceiling)
+    after, likelihood, max_log_likelihood = likelihood_of(cloud)
+    weights, info = weigh(cloud.log_weights, likelihood, max_log_likelihood)
     return replace(after, log_weights=weights), info
 
 
@@ -57,7 +57,7 @@ def by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: jax.Arra
     """Weigh particles that stay where they are by the likelihood of y alone; the key serves the alarm."""
 
     def likelihood_of(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
-        return cloud, sensor.log_prob(y, cloud.particles, u, t), sensor.ceiling(y, cloud.particles, u, t)
+        return cloud, sensor.log_prob(y, cloud.particles, u, t), sensor.max_log_prob(y, cloud.particles, u, t)
 
     after, info = update_weights(cloud, likelihood_of)
     some = alarm.some_of(cloud.log_weights.shape[0])
@@ -67,8 +67,8 @@ def by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: jax.Arra
 def weigh_modes(rule: Rule, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:
     """Correct the Gaussian of each component by the sensor of its mode, and weigh it by its predictive density of y."""
     done = measured(rule, model, state, y, u, t)
-    weights, info = weigh(state.log_weights, done.log_evidence, done.peak)
+    weights, info = weigh(state.log_weights, done.log_evidence, done.max_log_evidence)
     few, log_weights = alarm.few_of(state.log_weights.reshape(model.count, -1))
-    told = expected(rule, model, state, few, u, t)
-    found = alarm.of_mixture(model.models[0].sensor.angles, told.center, told.covariance, log_weights.reshape(-1), y, drawn=False)
+    predicted = expected(rule, model, state, few, u, t)
+    found = alarm.of_mixture(model.models[0].sensor.angles, predicted.center, predicted.covariance, log_weights.reshape(-1), y, drawn=False)
     return replace(state, parts=done.law, log_weights=weights), with_innovation(info, found)

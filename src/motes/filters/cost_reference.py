@@ -34,6 +34,14 @@ class CostReferenceParticleFilter(LookAheadFilter):
     Of the model it uses the mean functions, and `initial` to draw the first particles: no densities. Components of y are summed as they
     are, so bring measurements of different units to one scale.
 
+    Source: Miguez, Bugallo, Djuric 2004, A new class of particle filters for random dynamic systems with unknown statistics.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.CostReferenceParticleFilter(n=1000), model, ys).mean.shape
+        (50, 1)
+
     Attributes:
         n: number of particles.
         q: power of the residual in the cost, 1 or 2.

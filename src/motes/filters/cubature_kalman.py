@@ -12,7 +12,16 @@ from motes.gaussian.sigma_points import Cubature
 
 @record
 class CubatureKalmanFilter(OneGaussian, TwoStageFilter):
-    """Cubature Kalman filter; its state is a `Gaussian`."""
+    """Cubature Kalman filter; its state is a `Gaussian`.
+
+    Source: Arasaratnam, Haykin 2009, Cubature Kalman filters.
+
+    Example:
+        >>> model = mo.textbook.radar_tracking()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.CubatureKalmanFilter(), model, ys).mean.shape
+        (50, 6)
+    """
 
     guide = Guide(
         needs="mean functions, noises with covariances",

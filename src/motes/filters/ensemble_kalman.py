@@ -19,7 +19,7 @@ from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.needs import as_moment_model
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import matrix_over, over_particles
-from motes.laws.density import among, log_normal, log_normal_peak, measured_in, noiseless, zeroed
+from motes.laws.density import among, log_normal, max_log_normal, measured_in, noiseless, zeroed
 from motes.laws.gaussian import Correction
 from motes.models.state_space import StateSpaceModel
 
@@ -27,6 +27,15 @@ from motes.models.state_space import StateSpaceModel
 @record
 class EnsembleKalmanFilter(Gated, TwoStageFilter):
     """Ensemble Kalman filter; its state is a `Cloud` of members of equal weight.
+
+    Source: Evensen 1994, Sequential data assimilation with a nonlinear quasi-geostrophic model using Monte Carlo methods to forecast
+    error statistics.
+
+    Example:
+        >>> model = mo.textbook.radar_tracking()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.EnsembleKalmanFilter(n=200), model, ys).mean.shape
+        (50, 6)
 
     Attributes:
         n: number of members.
@@ -103,8 +112,8 @@ class EnsembleKalmanFilter(Gated, TwoStageFilter):
             moved = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root, zeroed(innovation, seen)))
             less = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root + linalg.cholesky(R), out))
             after = X + moved[:, None] - less
-        density, peak = log_normal(innovation, S, seen, jnp.abs(y), noiseless(R)), log_normal_peak(innovation, S, seen)
-        info = single(Correction(None, density, peak, jnp.sum(seen)))
+        density, max_log_evidence = log_normal(innovation, S, seen, jnp.abs(y), noiseless(R)), max_log_normal(innovation, S, seen)
+        info = single(Correction(None, density, max_log_evidence, jnp.sum(seen)))
         return replace(state, particles=after), replace(info, ess=jnp.full((), self.n, X.dtype))
 
     def _perturbations(self, key: jax.Array, R: jax.Array, seen: jax.Array) -> jax.Array:

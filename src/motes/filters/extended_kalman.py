@@ -15,6 +15,14 @@ from motes.gaussian.taylor import Taylor
 class ExtendedKalmanFilter(OneGaussian, TwoStageFilter):
     """Extended Kalman filter; its state is a `Gaussian`.
 
+    Source: Jazwinski 1970, Stochastic Processes and Filtering Theory.
+
+    Example:
+        >>> model = mo.textbook.radar_tracking()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.ExtendedKalmanFilter(), model, ys).mean.shape
+        (50, 6)
+
     Attributes:
         iterations: linearizations of the sensor in a correction; 1 is the plain filter, more the iterated one. Steps are not damped.
     """

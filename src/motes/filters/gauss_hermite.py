@@ -14,6 +14,14 @@ from motes.gaussian.sigma_points import GaussHermite
 class GaussHermiteFilter(OneGaussian, TwoStageFilter):
     """Gauss-Hermite filter; its state is a `Gaussian`.
 
+    Source: Ito, Xiong 2000, Gaussian filters for nonlinear filtering problems.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.GaussHermiteFilter(degree=5), model, ys).mean.shape
+        (50, 1)
+
     Attributes:
         degree: points per state, at least 2; moments are exact for polynomials up to the degree 2 `degree` - 1 in each state.
     """

@@ -64,6 +64,14 @@ class OneGaussian(Gated):
 class GaussianFilter(OneGaussian, TwoStageFilter):
     """Gaussian filter; its state is a `Gaussian`.
 
+    Source: Ito, Xiong 2000, Gaussian filters for nonlinear filtering problems.
+
+    Example:
+        >>> model = mo.textbook.radar_tracking()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.GaussianFilter(mo.gaussian.Cubature()), model, ys).mean.shape
+        (50, 6)
+
     Attributes:
         rule: how moments are taken: `mo.gaussian.Linear()`, `Taylor(iterations)`, `Unscented(alpha, beta, kappa)`, `Cubature()`,
             `GaussHermite(degree)`, or a `mo.gaussian.Rule` of your own.

@@ -29,6 +29,14 @@ from motes.models.state_space import StateSpaceModel
 class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
     """Gaussian particle filter; its state is a `Gaussian`. It converges to the true posterior only where that is Gaussian.
 
+    Source: Kotecha, Djuric 2003, Gaussian particle filtering; Gaussian sum particle filtering.
+
+    Example:
+        >>> model = mo.textbook.radar_tracking()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.GaussianParticleFilter(n=1000), model, ys).mean.shape
+        (50, 6)
+
     Attributes:
         n: number of particles.
         redraw: weigh new draws from the predicted Gaussian (the general form); otherwise the moved particles themselves, which spares
@@ -86,8 +94,8 @@ class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
         return _fitted(model, logspace.uniform_weights(self.n, X.dtype), X)
 
     def _weighed(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
-        likelihood, ceiling = model.sensor.log_prob(y, X, u, t), model.sensor.ceiling(y, X, u, t)
-        weights, info = weigh(logspace.uniform_weights(self.n, X.dtype), likelihood, ceiling)
+        likelihood, max_log_likelihood = model.sensor.log_prob(y, X, u, t), model.sensor.max_log_prob(y, X, u, t)
+        weights, info = weigh(logspace.uniform_weights(self.n, X.dtype), likelihood, max_log_likelihood)
         some = X[:, alarm.some_of(self.n)]
         info = with_innovation(info, alarm.of_cloud(key, model.sensor, some, jnp.zeros_like(some[0]), y, u, t))
         # after a collapse the next particles are drawn anew, all of equal weight

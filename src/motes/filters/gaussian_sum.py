@@ -37,6 +37,14 @@ NOISE_OF = {"II": "dynamics", "III": "sensor"}
 class GaussianSumParticleFilter(Gated, TwoStageFilter):
     """Gaussian-sum particle filter; its state is a `Mixture`, and `info.ess` counts mixands.
 
+    Source: Kotecha, Djuric 2003, Gaussian sum particle filtering.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.GaussianSumParticleFilter(n=100, mixands=10), model, ys).mean.shape
+        (50, 1)
+
     Attributes:
         n: number of particles of each mixand.
         mixands: number of mixands; forms II and III carry as many for each component of the noise until the next step reduces them.
@@ -122,9 +130,9 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
         if state.log_weights.shape[0] == self.mixands:
             return resample(key, self.scheme, self.policy, state)
         if self.reduction == "resample":
-            return state.picked(self.scheme.ancestors(key, state.log_weights, self.mixands))
+            return state.resampled(self.scheme.ancestors(key, state.log_weights, self.mixands))
         heaviest, which = jax.lax.top_k(state.log_weights, self.mixands)
-        return replace(state.picked(which), log_weights=logspace.normalize(heaviest)[0])
+        return replace(state.resampled(which), log_weights=logspace.normalize(heaviest)[0])
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Mixture, u: Any, t: Any) -> Mixture:
         """Reduce the mixands, then move each by particles."""
@@ -150,13 +158,13 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Mixture, y: jax.Array, u: Any, t: Any) -> tuple[Mixture, Info]:
         """Weigh particles of each mixand by the likelihood of y; keep their moments and their mean weight."""
         points = state.parts.sample_each(key, self.n)
-        likelihood, ceiling = self._judged(model, points, y, u, t)
+        likelihood, max_log_likelihood = self._log_likelihoods(model, points, y, u, t)
         before = state.log_weights - jnp.log(jnp.asarray(self.n, points.dtype))
-        joint, info = weigh(jnp.broadcast_to(before, points.shape[1:]).reshape(-1), likelihood.reshape(-1), ceiling.reshape(-1))
+        joint, info = weigh(jnp.broadcast_to(before, points.shape[1:]).reshape(-1), likelihood.reshape(-1), max_log_likelihood.reshape(-1))
         # for the alarm, a few particles of each mixand
         some = points[:, alarm.some_of(self.n, -(-alarm.FEWEST // points.shape[2]))]
-        shares = jnp.broadcast_to(state.log_weights, some.shape[1:]).reshape(-1)
-        info = with_innovation(info, alarm.of_cloud(key, model.sensor, some.reshape(some.shape[0], -1), shares, y, u, t))
+        log_weights = jnp.broadcast_to(state.log_weights, some.shape[1:]).reshape(-1)
+        info = with_innovation(info, alarm.of_cloud(key, model.sensor, some.reshape(some.shape[0], -1), log_weights, y, u, t))
         joint = joint.reshape(points.shape[1:])
         log_weights = jax.nn.logsumexp(joint, axis=0)
         possible = jnp.isfinite(log_weights)
@@ -165,14 +173,14 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
         parts = jax.tree.map(lambda new, old: jnp.where(possible, new, old), moments_each(own, points), state.parts)
         return Mixture(parts, log_weights), replace(info, ess=logspace.effective_size(log_weights))
 
-    def _judged(self, model: StateSpaceModel, points: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
-        """Log likelihood of each particle and its ceiling, `(n, mixands)`; copies of a mixand answer for one component each."""
+    def _log_likelihoods(self, model: StateSpaceModel, points: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
+        """Log likelihood of each particle and its maximum, `(n, mixands)`; copies of a mixand answer for one component each."""
         split = self._split(model) if self.form == "III" else [(jnp.zeros((), points.dtype), model.sensor)]
         found = []
         for (log_weight, part), some in zip(split, jnp.split(points, len(split), axis=-1), strict=True):
             X = some.reshape(some.shape[0], -1)
             share = log_weight + jnp.log(jnp.asarray(len(split), X.dtype))
-            pair = part.log_prob(y, X, u, t), part.ceiling(y, X, u, t)
+            pair = part.log_prob(y, X, u, t), part.max_log_prob(y, X, u, t)
             found.append([share + jnp.broadcast_to(each, X.shape[-1:]).reshape(some.shape[1:]) for each in pair])
-        likelihood, ceiling = (jnp.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
-        return likelihood, ceiling
+        likelihood, max_log_likelihood = (jnp.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
+        return likelihood, max_log_likelihood

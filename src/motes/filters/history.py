@@ -276,7 +276,7 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
     archive.agree(path, forms, {"info/log_evidence": ((None,), "f"), "start": ((), "iu"), "last/step": ((), "iu"), "last/y": ((None,), "f"),
                                 "last/evidence/total": ((), "f"), "last/evidence/missed": ((), "f")})  # fmt: skip
     steps, x = forms["info"]["log_evidence"].shape[0], len(names)
-    there = {field.name for field in fields(Info)} & set(forms["info"]) | {"ess", "collapsed", "invalid", "lowest", "highest", "gap"}
+    there = {field.name for field in fields(Info)} & set(forms["info"]) | {"ess", "collapsed", "invalid", "lowest", "highest", "shortfall"}
     archive.agree(path, forms, {f"info/{name}": ((steps,), kinds.get(name, "f")) for name in there})
     if set(forms["info"]) - there:
         checks.refuse(f"{path}: info", "known records of steps", sorted(set(forms["info"]) - there)[0], "Read it with a newer motes.",

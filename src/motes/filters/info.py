@@ -23,8 +23,8 @@ class Info:
         invalid: number of particles whose likelihood was not a number; they get no weight.
         lowest: smallest log likelihood over the particles.
         highest: largest log likelihood over the particles.
-        gap: nats by which the best particle falls short of a perfect fit; half the squared normalized innovation of filters whose law has
-            no weights; 0 where the largest possible likelihood is not known.
+        shortfall: nats by which the best particle falls short of a perfect fit; half the squared normalized innovation of filters whose
+            law has no weights; 0 where the largest possible likelihood is not known.
         nis: squared distance of the measurement from what was predicted of it; chi-square where the filter's claims are right.
         freedom: degrees of freedom of `nis`; 0 where nothing was measured, or where no prediction is known.
         alarm: whether measurements have by now scattered so much more than predicted that the filter's claims are wrong (`alarm.py`).
@@ -38,7 +38,7 @@ class Info:
     invalid: jax.Array
     lowest: jax.Array
     highest: jax.Array
-    gap: jax.Array
+    shortfall: jax.Array
     nis: jax.Array
     freedom: jax.Array
     alarm: jax.Array
@@ -46,38 +46,39 @@ class Info:
     lost: jax.Array
 
 
-def weigh(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, Info]:
+def weigh(log_weights: jax.Array, log_likelihood: jax.Array, max_log_likelihood: jax.Array) -> tuple[jax.Array, Info]:
     """Multiply weights by likelihoods, and tell whether that is still meaningful.
 
-    Weights have collapsed when they sum to nothing or to infinity, when the best particle is `HOPELESS` nats below its ceiling, or when the
-    log likelihoods are so large that rounding hides their differences. NaN likelihoods count as zero and are reported.
+    Weights have collapsed when they sum to nothing or to infinity, when the best particle is `HOPELESS` nats below the maximum of its
+    likelihood, or when the log likelihoods are so large that rounding hides their differences. NaN likelihoods count as zero and are
+    reported.
 
     Args:
         log_weights: normalized, `(n,)`.
         log_likelihood: `(n,)`.
-        ceiling: largest value the log likelihood can take, `()` or `(n,)`; infinite when not known.
+        max_log_likelihood: largest value the log likelihood can take, `()` or `(n,)`; infinite when not known.
 
     Returns:
         Normalized log weights `(n,)` (not usable where collapsed) and the record of the step.
     """
-    weights, found = logspace.joint_weights(log_weights, log_likelihood, ceiling)
+    weights, found = logspace.joint_weights(log_weights, log_likelihood, max_log_likelihood)
     return weights, info_of(found)
 
 
 def info_of(found: jax.Array) -> Info:
     """Return the record of a step from the six numbers of `logspace.joint_weights`."""
-    log_evidence, ess, invalid, lowest, highest, gap = found
+    log_evidence, ess, invalid, lowest, highest, shortfall = found
     unresolved = jnp.abs(highest) * jnp.finfo(found.dtype).eps > 1
-    collapsed = ~jnp.isfinite(log_evidence) | (gap > HOPELESS) | unresolved
+    collapsed = ~jnp.isfinite(log_evidence) | (shortfall > HOPELESS) | unresolved
     none, quiet = jnp.zeros_like(ess), jnp.zeros((), bool)
-    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest, gap, none, none, quiet, jnp.int32(0), none)
+    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest, shortfall, none, none, quiet, jnp.int32(0), none)
 
 
 def single(done: Correction) -> Info:
     """Return the record of a step of a filter whose law has no weights."""
     evidence = done.log_evidence
-    _, info = weigh(jnp.zeros((1,), evidence.dtype), evidence[None], done.peak)
-    square, freedom = 2 * (done.peak - evidence), jnp.asarray(done.count, evidence.dtype)
+    _, info = weigh(jnp.zeros((1,), evidence.dtype), evidence[None], done.max_log_evidence)
+    square, freedom = 2 * (done.max_log_evidence - evidence), jnp.asarray(done.count, evidence.dtype)
     return replace(info, ess=jnp.full_like(evidence, jnp.inf), nis=square, freedom=freedom)
 
 

@@ -27,13 +27,21 @@ from motes.gaussian.taylor import Taylor
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import moments_each
 from motes.laws.mode_mixture import ModeMixture
-from motes.laws.switching import log_chances
+from motes.laws.switching import log_probabilities
 from motes.models.jump_markov import JumpMarkovModel
 
 
 @record
 class InteractingMultipleModel(Gated, TwoStageFilter):
     """Interacting multiple models; the state is a `ModeMixture` of one Gaussian for each mode, and `info.ess` counts modes.
+
+    Source: Blom, Bar-Shalom 1988, The interacting multiple model algorithm for systems with Markovian switching coefficients.
+
+    Example:
+        >>> model = mo.textbook.maneuvers()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.InteractingMultipleModel(), model, ys).mean.shape
+        (50, 4)
 
     Attributes:
         rule: how moments are taken through the functions of each mode: `mo.gaussian.Taylor(iterations)`, or sigma points such as
@@ -70,17 +78,17 @@ class InteractingMultipleModel(Gated, TwoStageFilter):
     def init(self, key: jax.Array, model: JumpMarkovModel) -> ModeMixture:
         """Return the Gaussians with the moments of the initial laws."""
         modes = jnp.arange(model.count, dtype=jnp.int32)
-        return ModeMixture(initial_gaussians(model), log_chances(model.initial_mode), modes, model.count)
+        return ModeMixture(initial_gaussians(model), log_probabilities(model.initial_mode), modes, model.count)
 
     def predict(self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, u: Any, t: Any) -> ModeMixture:
         """Mix, then move each mode."""
         joint = state.log_weights[:, None] + model.log_transition(u, t)
         log_weights = jax.nn.logsumexp(joint, axis=0)
         possible = jnp.isfinite(log_weights)
-        shares = jnp.where(possible, joint - jnp.where(possible, log_weights, 0), state.log_weights[:, None])
-        between = moments_each(shares, jnp.broadcast_to(state.parts.center[..., None], (*state.parts.center.shape, model.count)))
+        mixing = jnp.where(possible, joint - jnp.where(possible, log_weights, 0), state.log_weights[:, None])
+        between = moments_each(mixing, jnp.broadcast_to(state.parts.center[..., None], (*state.parts.center.shape, model.count)))
         counted = jnp.where(jnp.isfinite(state.log_weights), state.parts.covariance, 0)
-        within = jnp.einsum("abi,ij->abj", counted, jnp.exp(shares), precision=jax.lax.Precision.HIGHEST)
+        within = jnp.einsum("abi,ij->abj", counted, jnp.exp(mixing), precision=jax.lax.Precision.HIGHEST)
         center, cov = between.center, linalg.symmetric(between.covariance + within)
         mixed = [Gaussian(center[:, j, None], cov[..., j, None]) for j in range(model.count)]
         return replace(state, parts=predicted(self.rule, model, mixed, u, t), log_weights=log_weights)

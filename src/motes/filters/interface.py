@@ -81,8 +81,8 @@ class Filter(ABC):
         """What a history says of its filter."""
         particles = getattr(self, "n", 0) if self.starves else 0
         descends = self.descends and getattr(getattr(self, "scheme", None), "picks", True)
-        told = {"has_evidence": self.has_evidence, "weighs": self.weighs, "subtracts": self.subtracts}
-        return told | {"particles": particles, "descends": descends}
+        own = {"has_evidence": self.has_evidence, "weighs": self.weighs, "subtracts": self.subtracts}
+        return own | {"particles": particles, "descends": descends}
 
     def check_parameters(self) -> None:  # noqa: B027 (most filters have nothing of their own to check)
         """Refuse values of the filter's own parameters."""
@@ -127,7 +127,7 @@ class Filter(ABC):
         unused = missing | (info.gated > 0)
         refused = unused | info.collapsed
         state = jax.tree.map(lambda old, new: jnp.where(refused, old, new), fallback, after)
-        silent = {name: jnp.where(unused, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest", "gap")}
+        silent = {name: jnp.where(unused, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest", "shortfall")}
         silent |= {name: jnp.where(missing, 0, getattr(info, name)) for name in ("nis", "freedom")}
         if before.weighted:
             silent["ess"] = jax.lax.cond(refused, lambda: logspace.effective_size(before.log_weights), lambda: info.ess)

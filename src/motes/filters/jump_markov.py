@@ -28,7 +28,7 @@ from motes.gaussian.rule import Rule, check_rule
 from motes.gaussian.taylor import Taylor
 from motes.laws.gaussian import Gaussian
 from motes.laws.mode_mixture import ModeMixture
-from motes.laws.switching import log_chances
+from motes.laws.switching import log_probabilities
 from motes.models.jump_markov import JumpMarkovModel
 from motes.resampling import gradients
 from motes.resampling.reduction import Reduction, reduced
@@ -38,6 +38,15 @@ from motes.resampling.schemes import Systematic
 @record
 class JumpMarkovFilter(Gated, TwoStageFilter):
     """Rao-Blackwellized jump-Markov filter; the state is a `ModeMixture` of n m hypotheses, which `info.ess` counts.
+
+    Source: Doucet, Gordon, Krishnamurthy 2001, Particle filters for state estimation of jump Markov linear systems; Fearnhead, Clifford
+    2003, On-line inference for hidden Markov models via particle filters.
+
+    Example:
+        >>> model = mo.textbook.maneuvers()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.JumpMarkovFilter(n=20), model, ys).mean.shape
+        (50, 4)
 
     Attributes:
         n: number of particles that are kept from step to step.
@@ -94,8 +103,8 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         """Give each mode the Gaussian with the moments of its initial law: once, or n times where states are drawn."""
         parts = jax.tree.map(lambda leaf: jnp.repeat(leaf, self.n, axis=-1), initial_gaussians(model))
         alike = logspace.uniform_weights(self.n, model.dtype)
-        shares = alike if self.sampled else jnp.where(jnp.arange(self.n) == 0, jnp.zeros_like(alike), -jnp.inf)
-        return self._hypotheses(key, model, parts, log_chances(model.initial_mode)[:, None] + shares)
+        among = alike if self.sampled else jnp.where(jnp.arange(self.n) == 0, jnp.zeros_like(alike), -jnp.inf)
+        return self._hypotheses(key, model, parts, log_probabilities(model.initial_mode)[:, None] + among)
 
     def _kept(self, key: jax.Array, log_weights: jax.Array) -> Reduction:
         """Choose n of the hypotheses."""
@@ -112,10 +121,10 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     def predict(self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, u: Any, t: Any) -> ModeMixture:
         """Bring the hypotheses down to n, and move each in every mode."""
         ancestors, log_weights = self._kept(random.child(key, random.RESAMPLE), state.log_weights)
-        kept, log_weights = gradients.noticed((state.picked(ancestors), log_weights))
-        chances = model.log_transition(u, t)[kept.modes].T
+        kept, log_weights = gradients.noticed((state.resampled(ancestors), log_weights))
+        log_transition = model.log_transition(u, t)[kept.modes].T
         moved = predicted(self.rule, model, [kept.parts] * model.count, u, t)
-        return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + chances)
+        return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + log_transition)
 
     def correct(
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any

@@ -11,7 +11,16 @@ from motes.gaussian.taylor import Linear
 
 @record
 class KalmanFilter(OneGaussian, TwoStageFilter):
-    """Kalman filter; its state is a `Gaussian`. Functions that are linear need not be written as matrices: tracing finds out."""
+    """Kalman filter; its state is a `Gaussian`. Functions that are linear need not be written as matrices: tracing finds out.
+
+    Source: Kalman 1960, A new approach to linear filtering and prediction problems.
+
+    Example:
+        >>> model = mo.textbook.constant_velocity()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.KalmanFilter(), model, ys).mean.shape
+        (50, 4)
+    """
 
     guide = Guide(
         needs="a linear model with Gaussian noises and initial law",

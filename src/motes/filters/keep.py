@@ -43,7 +43,7 @@ def modes(law: Any, count: int = 0) -> dict[str, jax.Array]:
     checks.refuse("keep.modes", "a filter of jump-Markov systems, or a cloud of a joined model", given)
 
 
-def told(keep: Keep, count: int) -> Keep:
+def with_modes(keep: Keep, count: int) -> Keep:
     """Return what to keep in a run of a joined model of so many modes; 0 for any other model."""
     return partial(modes, count=count) if keep is modes else keep
 

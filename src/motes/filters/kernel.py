@@ -65,6 +65,15 @@ class LocalModel:
 class KalmanParticleKernelFilter(Gated, TwoStageFilter):
     """Kalman-particle kernel filter; its state is a `Mixture` of n Gaussians with a covariance each.
 
+    Source: Dahia, Musso, Pham, Guibert 2004, Application of the Kalman-particle kernel filter to the updated inertial navigation
+    system.
+
+    Example:
+        >>> model = mo.textbook.radar_tracking()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.KalmanParticleKernelFilter(n=200), model, ys).mean.shape
+        (50, 6)
+
     Attributes:
         n: number of kernels.
         nonlinear: states in which kernels are small, by name or index; None for those that the structure of the model leaves nonlinear.
@@ -137,8 +146,8 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         moving = varying(traced, linear, size).get("sensor slope")
         plane = moving is None or not moving[:size].any()
         nonlinear = tuple(i for i in range(size) if i not in linear)
-        told = (nonlinear, linear, not bends, plane, model.circular)
-        return LocalModel(model.dynamics, model.sensor, model.initial, *told)  # type: ignore[arg-type]
+        about = (nonlinear, linear, not bends, plane, model.circular)
+        return LocalModel(model.dynamics, model.sensor, model.initial, *about)  # type: ignore[arg-type]
 
     def init(self, key: jax.Array, model: LocalModel) -> Mixture:
         """Draw n centers along the nonlinear states, the others following by regression, each with what is left of the covariance."""
@@ -148,10 +157,10 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         off = linalg.take(model.initial.sample(key, self.n) - mean[:, None], model.nonlinear)
         moved = linalg.times_vector(along, linalg.solve_lower(factor, off))
         centers = mean[:, None] + self.spread * jnp.sqrt(1 - jnp.square(self.width)) * moved
-        amounts = jnp.stack([jnp.ones(()), jnp.square(self.spread * self.width) - 1]).astype(cov.dtype)
+        factors = jnp.stack([jnp.ones(()), jnp.square(self.spread * self.width) - 1]).astype(cov.dtype)
         terms = jnp.stack([cov, linalg.symmetric(linalg.product_transposed(along, along))], axis=-1)
         # as a matrix product: compilers would fuse a plain sum into the first correction and round it otherwise than where both are apart
-        kernels = linalg.product(terms.reshape(-1, 2), jnp.broadcast_to(amounts[:, None], (2, self.n))).reshape(*cov.shape, self.n)
+        kernels = linalg.product(terms.reshape(-1, 2), jnp.broadcast_to(factors[:, None], (2, self.n))).reshape(*cov.shape, self.n)
         return Mixture(Gaussian(centers.astype(cov.dtype), kernels), uniform_weights(self.n, cov.dtype))
 
     def predict(self, key: jax.Array, model: LocalModel, state: Mixture, u: Any, t: Any) -> Mixture:
@@ -193,13 +202,14 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
             straight = slope_in(sensor, model.linear, X, u, t) if shared is None else shared
             parts = ((model.nonlinear, curved), (model.linear, straight))
             done = law.parts.corrected_in_turn(sensor.residual(y, prediction), parts, R, measured_in(y, R))
-            return replace(law, parts=done.law), done.log_evidence, done.peak
+            return replace(law, parts=done.law), done.log_evidence, done.max_log_evidence
 
         after, info = update_weights(state, likelihood_of)
         some = alarm.some_of(self.n)
         few = Gaussian(state.parts.center[:, some], state.parts.covariance[..., some])
-        told = Taylor().through(sensor, few, u, t)
-        return after, with_innovation(info, alarm.of_mixture(sensor.angles, told.center, told.covariance, state.log_weights[some], y))
+        predicted = Taylor().through(sensor, few, u, t)
+        found = alarm.of_mixture(sensor.angles, predicted.center, predicted.covariance, state.log_weights[some], y)
+        return after, with_innovation(info, found)
 
 
 def _once(t: Any, work: Callable[[], Any]) -> Any:

@@ -1,6 +1,6 @@
 """Filters that move only once they know the measurement: their step, and what methods with a proposal share.
 
-1. Ahead: particles are picked, moved and weighed knowing y.
+1. Ahead: particles are resampled, moved and weighed knowing y.
 2. Where y is not used, since nothing was measured, all weights vanished or it lies outside the gate, such particles are no sample of what
    was known before: the step is taken once more, blind, with the same keys and the dynamics alone.
 """
@@ -72,8 +72,8 @@ def guided(
 ) -> tuple[Cloud, Info]:
     """Move particles by a proposal that knows the measurement, and weigh them."""
     cloudwise.left_to_jax("move", parents, "particles are moved by a proposal")
-    moved, log_weight, ceiling = proposal.proposed(key, model, parents.particles, y, u, t)
-    weights, info = weigh(parents.log_weights, log_weight, ceiling)
+    moved, log_weight, max_log_weight = proposal.proposed(key, model, parents.particles, y, u, t)
+    weights, info = weigh(parents.log_weights, log_weight, max_log_weight)
     return replace(parents, particles=moved, log_weights=weights), info
 
 

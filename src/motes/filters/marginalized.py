@@ -40,6 +40,15 @@ from motes.resampling.schemes import Scheme, Systematic
 class MarginalizedParticleFilter(Gated, TwoStageFilter):
     """Marginalized particle filter; its state is a `MarginalCloud`. `RaoBlackwellizedParticleFilter` is the same.
 
+    Source: Karlsson, Schon, Gustafsson 2005, Complexity analysis of the marginalized particle filter; Schon, Gustafsson, Nordlund 2005,
+    Marginalized particle filters for mixed linear/nonlinear state-space models.
+
+    Example:
+        >>> model = mo.textbook.radar_tracking()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.MarginalizedParticleFilter(n=500), model, ys).mean.shape
+        (50, 6)
+
     Attributes:
         n: number of particles.
         linear: states to marginalize, by name or index; None for the largest set that the model's structure allows.
@@ -124,12 +133,12 @@ class MarginalizedParticleFilter(Gated, TwoStageFilter):
         def likelihood_of(cloud: MarginalCloud) -> tuple[MarginalCloud, jax.Array, jax.Array]:
             if model.likelihood is not None:
                 whole = model.whole(cloud.particles)
-                return cloud, model.likelihood.log_prob(y, whole, u, t), model.likelihood.ceiling(y, whole, u, t)
+                return cloud, model.likelihood.log_prob(y, whole, u, t), model.likelihood.max_log_prob(y, whole, u, t)
             h, C, R = model.over("sensor", cloud.particles, example, u, t)
             prediction = h + linalg.times_vector(C, cloud.kalman.center)
             innovation = wrap(y[:, None] - prediction, model.mixed.angles)
             done = cloud.kalman.corrected(innovation, C, R, measured_in(y, R))
-            return replace(cloud, kalman=done.law), done.log_evidence, done.peak
+            return replace(cloud, kalman=done.law), done.log_evidence, done.max_log_evidence
 
         after, info = update_weights(state, likelihood_of)
         return after, with_innovation(info, _innovation(key, model, state, y, u, t))
@@ -142,8 +151,8 @@ def _innovation(key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.
     if model.likelihood is not None:
         return alarm.of_cloud(key, model.likelihood, model.whole(particles), log_weights, y, u, t)
     h, C, R = model.over("sensor", particles, particles[:, 0], u, t)
-    told = Gaussian(state.kalman.center[:, some], cov[..., some] if cov.ndim == 3 else cov).through(C, h, R)
-    return alarm.of_mixture(model.mixed.angles, told.center, told.covariance, log_weights, y)
+    predicted = Gaussian(state.kalman.center[:, some], cov[..., some] if cov.ndim == 3 else cov).through(C, h, R)
+    return alarm.of_mixture(model.mixed.angles, predicted.center, predicted.covariance, log_weights, y)
 
 
 def moved(

@@ -14,7 +14,7 @@ from motes.core import checks, linalg
 from motes.core.logspace import RunningSum
 from motes.core.loop import with_first
 from motes.core.record import replace
-from motes.core.types import Inputs
+from motes.core.types import Inputs, Measurements
 from motes.filters import alarm, keep, notices, precision
 from motes.filters.data import checked_data
 from motes.filters.history import Carry, History
@@ -38,7 +38,7 @@ class _Element(NamedTuple):
     J: jax.Array
 
 
-def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History:
+def run_in_parallel(model: Model, ys: Measurements, inputs: Inputs = None) -> History:
     """Run the Kalman filter over all steps at once; the same as `run` with `KalmanFilter` up to rounding, in t times the memory.
 
     Args:
@@ -68,23 +68,23 @@ def run_in_parallel(model: Any, ys: jax.Array, inputs: Inputs = None) -> History
 @jitted
 def _run(model: Model, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[Any, ...]:
     model, drive = model.independent()
-    told = drive.over(inputs, ys)
-    model = as_linear_model("run_in_parallel", model, at_step(told, 0))
+    us = drive.over(inputs, ys)
+    model = as_linear_model("run_in_parallel", model, at_step(us, 0))
     if model.sensor.angles:
         checks.refuse("run_in_parallel sensor", "no angles (they are wrapped about a prediction, which is not there yet)",
                       list(model.sensor.angles), "Use run with KalmanFilter.")
     t = jnp.arange(ys.shape[0], dtype=jnp.int32)
-    first = Linear().measured(model.sensor, Gaussian(model.initial.mean(), model.initial.cov()), ys[0], at_step(told, 0), t[0])
+    first = Linear().measured(model.sensor, Gaussian(model.initial.mean(), model.initial.cov()), ys[0], at_step(us, 0), t[0])
     nothing = jnp.zeros_like(first.law.covariance)
     opening = _Element(nothing, first.law.center, first.law.covariance, jnp.zeros_like(first.law.center), nothing)
-    others, exact = jax.vmap(lambda y, u, t: _element(model, y, u, t))(*jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
+    others, exact = jax.vmap(lambda y, u, t: _element(model, y, u, t))(*jax.tree.map(lambda leaf: leaf[1:], (ys, us, t)))
     elements = with_first(opening, others)
     together = jax.lax.associative_scan(jax.vmap(_combined), elements)
 
-    def judged(b: jax.Array, C: jax.Array, y: jax.Array, u: Any, t: jax.Array) -> Any:
+    def evidence_of(b: jax.Array, C: jax.Array, y: jax.Array, u: Any, t: jax.Array) -> Any:
         return Linear().measured(model.sensor, Linear().through(model.dynamics, Gaussian(b, C), u, t), y, u, t)
 
-    later = jax.vmap(judged)(together.b[:-1], together.C[:-1], *jax.tree.map(lambda leaf: leaf[1:], (ys, told, t)))
+    later = jax.vmap(evidence_of)(together.b[:-1], together.C[:-1], *jax.tree.map(lambda leaf: leaf[1:], (ys, us, t)))
     done = with_first(first, later)
     laws = done.law
     info = jax.vmap(single)(done)
@@ -92,7 +92,7 @@ def _run(model: Model, ys: jax.Array, inputs: Inputs, beside: Beside) -> tuple[A
     info = replace(info, alarm=rings)
     evidence = RunningSum(jnp.sum(done.log_evidence), jnp.zeros((), ys.dtype))
     last = Carry(jax.tree.map(lambda leaf: leaf[-1], laws), evidence, suspicion, ys[-1], at_step(inputs, -1), t[-1])
-    return jnp.append(False, exact), jax.vmap(keep.moments)(laws), info, last, precision.rounding(model, ys, at_step(told, 0))
+    return jnp.append(False, exact), jax.vmap(keep.moments)(laws), info, last, precision.rounding(model, ys, at_step(us, 0))
 
 
 def _element(model: StateSpaceModel, y: jax.Array, u: Any, t: jax.Array) -> tuple[_Element, jax.Array]:

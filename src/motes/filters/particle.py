@@ -29,6 +29,15 @@ from motes.resampling.schemes import Scheme, Systematic
 class ParticleFilter(LookAheadFilter, TwoStageFilter):
     """Particle filter; its state is a `Cloud`.
 
+    Source: Gordon, Salmond, Smith 1993, Novel approach to nonlinear/non-Gaussian Bayesian state estimation; Arulampalam, Maskell,
+    Gordon, Clapp 2002, A tutorial on particle filters for online nonlinear/non-Gaussian Bayesian tracking.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.ParticleFilter(n=1000), model, ys).mean.shape
+        (50, 1)
+
     Attributes:
         n: number of particles.
         proposal: how particles are moved once y_t is known: `OptimalProposal`, `ExtendedKalmanProposal`, `UnscentedProposal`, or a law of

@@ -37,6 +37,14 @@ class PointMassFilter(TwoStageFilter):
     no noise at all that leaves every node where it is (two measurements at one time, or states that never change) is exact; other steps
     without noise in some direction miss the nodes: they are refused, or collapse where they are met in the run alone.
 
+    Source: Bucy, Senne 1971, Digital synthesis of non-linear filters.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.PointMassFilter(lower=(-30.0,), upper=(30.0,), nodes=(300,)), model, ys).mean.shape
+        (50, 1)
+
     Attributes:
         lower: lower ends of the grid, one number per state, in the units of the state.
         upper: upper ends.
@@ -141,7 +149,7 @@ class PointMassFilter(TwoStageFilter):
     ) -> tuple[GridCloud, Info]:
         """Weigh the nodes by the likelihood of y; what has left the grid explains nothing of it."""
         likelihood = model.sensor.log_prob(y, state.particles, u, t)
-        weights, info = weigh(state.log_weights, likelihood, model.sensor.ceiling(y, state.particles, u, t))
+        weights, info = weigh(state.log_weights, likelihood, model.sensor.max_log_prob(y, state.particles, u, t))
         found = alarm.of_cloud(key, model.sensor, state.particles, state.log_weights, y, u, t)
         info = replace(with_innovation(info, found), log_evidence=info.log_evidence + jnp.log(state.held), lost=state.lost)
         return replace(state, log_weights=weights, held=jnp.ones_like(state.held)), info

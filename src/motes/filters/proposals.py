@@ -18,7 +18,7 @@ from motes.core.record import record
 from motes.gaussian.sigma_points import regressed_on
 from motes.gaussian.taylor import affine
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over, over_particles
-from motes.laws.density import among, log_normal, log_normal_peak, noiseless
+from motes.laws.density import among, log_normal, max_log_normal, noiseless
 from motes.laws.gaussian import Gaussian
 from motes.models.correlated import users
 from motes.models.state_space import StateSpaceModel
@@ -31,12 +31,12 @@ class Proposed(NamedTuple):
     Attributes:
         particles: `(x, n)`.
         log_weight: log of p(y | x') p(x' | x) / q(x' | x, y), `(n,)`.
-        ceiling: what `log_weight` would be if y and the step fitted perfectly, `()` or `(n,)`; infinite when not known.
+        max_log_weight: what `log_weight` would be if y and the step fitted perfectly, `()` or `(n,)`; infinite when not known.
     """
 
     particles: jax.Array
     log_weight: jax.Array
-    ceiling: jax.Array
+    max_log_weight: jax.Array
 
 
 class Proposal(ABC):
@@ -68,7 +68,7 @@ class PriorProposal(Proposal):
     def proposed(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Proposed:
         """See `Proposal`."""
         moved = model.dynamics.sample(key, X, u, t)
-        return Proposed(moved, model.sensor.log_prob(y, moved, u, t), model.sensor.ceiling(y, moved, u, t))
+        return Proposed(moved, model.sensor.log_prob(y, moved, u, t), model.sensor.max_log_prob(y, moved, u, t))
 
 
 @record
@@ -87,8 +87,8 @@ class GivenProposal(Proposal):
         moved = self.law.sample(key, X, own, t)
         proposed = self.law.log_prob(moved, X, own, t)
         likelihood = model.sensor.log_prob(y, moved, u, t) + model.dynamics.log_prob(moved, X, u, t) - proposed
-        ceiling = model.sensor.ceiling(y, moved, u, t) + model.dynamics.ceiling(moved, X, u, t) - proposed
-        return Proposed(moved, likelihood, ceiling)
+        max_log_weight = model.sensor.max_log_prob(y, moved, u, t) + model.dynamics.max_log_prob(moved, X, u, t) - proposed
+        return Proposed(moved, likelihood, max_log_weight)
 
 
 class Local(NamedTuple):
@@ -116,7 +116,7 @@ class Local(NamedTuple):
         """Log density of y before v is known, and the same for a perfect prediction, `(n,)`."""
         cov = linalg.add(linalg.product_transposed(self.slope, self.slope), self.noise)
         density = log_normal(self.innovation, cov, self.seen, self.size, noiseless(among(self.noise, self.seen)))
-        return density, log_normal_peak(self.innovation, cov, self.seen)
+        return density, max_log_normal(self.innovation, cov, self.seen)
 
     def rest(self, v: jax.Array) -> jax.Array:
         """What v `(x, n)` leaves of the innovation, `(y, n)`."""
@@ -162,8 +162,8 @@ class LocalProposal(Proposal):
         v = local.drawn(key)
         moved = local.moved(v)
         ratio = local.evidence()[0] - log_normal(local.rest(v), local.noise, local.seen, local.size)
-        ceiling = model.sensor.ceiling(y, moved, u, t) + 0.5 * jnp.sum(v**2, axis=0) + ratio
-        return Proposed(moved, model.sensor.log_prob(y, moved, u, t) + ratio, ceiling)
+        max_log_weight = model.sensor.max_log_prob(y, moved, u, t) + 0.5 * jnp.sum(v**2, axis=0) + ratio
+        return Proposed(moved, model.sensor.log_prob(y, moved, u, t) + ratio, max_log_weight)
 
     def score(self, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> jax.Array:
         """See `Proposal`; here the local evidence."""

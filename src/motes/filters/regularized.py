@@ -35,6 +35,14 @@ from motes.resampling.schemes import Scheme, Systematic
 class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
     """Regularized particle filter; its state is a `Cloud`.
 
+    Source: Musso, Oudjane, LeGland 2001, Improving regularised particle filters.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.RegularizedParticleFilter(n=1000), model, ys).mean.shape
+        (50, 1)
+
     Attributes:
         n: number of particles.
         regularization: the kernel.
@@ -129,8 +137,8 @@ class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
             return model.sensor.log_prob(y, X, u, t) + model.dynamics.log_prob(X, parents.particles, u, t)
 
         proposed = smooth(random.child(noise_key, random.NOISE), blind.particles)
-        chance = random.uniform(random.child(key, random.UPDATE), (self.n,), proposed.dtype)
-        accepted = jnp.log(1 - chance) < log_target(proposed) - log_target(blind.particles)
+        uniform = random.uniform(random.child(key, random.UPDATE), (self.n,), proposed.dtype)
+        accepted = jnp.log(1 - uniform) < log_target(proposed) - log_target(blind.particles)
         accepted &= _noisy_everywhere(model, parents.particles, u, t)
         return Ahead(replace(after, particles=jnp.where(accepted, proposed, blind.particles)), info, lambda: blind)
 

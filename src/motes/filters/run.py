@@ -12,7 +12,7 @@ import numpy as np
 from motes.core import checks, random
 from motes.core.loop import loop, with_first
 from motes.core.record import record, replace, static
-from motes.core.types import Inputs, KeyLike
+from motes.core.types import Inputs, KeyLike, Measurements
 from motes.filters import keep as keeping
 from motes.filters import notices, precision
 from motes.filters.data import checked_data
@@ -34,8 +34,8 @@ from motes.tracing.identity import Beside
 def run(
     key: KeyLike,
     filter: Filter,
-    model: Any,
-    ys: jax.Array,
+    model: Model,
+    ys: Measurements,
     inputs: Inputs = None,
     keep: Keep = keeping.moments,
     after: History | None = None,
@@ -109,7 +109,7 @@ def _check_end(end: Carry, filter: Filter, model: Any, u: Inputs, y: Any) -> Non
 
 
 def run_in_chunks(
-    key: KeyLike, filter: Filter, model: Any, ys: jax.Array, inputs: Inputs = None, keep: Keep = keeping.moments, chunk: int = 100
+    key: KeyLike, filter: Filter, model: Model, ys: Measurements, inputs: Inputs = None, keep: Keep = keeping.moments, chunk: int = 100
 ) -> Iterator[History]:
     """Run in chunks of steps and yield the history of each: for progress, checkpoints and early stops. `joined` puts them together.
 
@@ -140,7 +140,7 @@ class _Found:
 def _run(
     key: jax.Array, filter: Filter, model: Model, ys: jax.Array, inputs: Inputs, kept: tuple[Keep, Beside], first: Carry | None
 ) -> _Found:
-    keep = keeping.told(kept[0], model.modes)
+    keep = keeping.with_modes(kept[0], model.modes)
     with report.collected() as notes:
         ready = setup(random.as_key(key), filter, model, at_step(inputs, 0), ys[0])
 

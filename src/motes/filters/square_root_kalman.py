@@ -22,7 +22,16 @@ from motes.models.state_space import StateSpaceModel
 
 @record
 class SquareRootKalmanFilter(Gated, TwoStageFilter):
-    """Square-root Kalman filter; its state is a `FactoredGaussian`."""
+    """Square-root Kalman filter; its state is a `FactoredGaussian`.
+
+    Source: Potter 1963, New statistical formulas; Kailath, Sayed, Hassibi 2000, Linear Estimation.
+
+    Example:
+        >>> model = mo.textbook.constant_velocity()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.SquareRootKalmanFilter(), model, ys).mean.shape
+        (50, 4)
+    """
 
     weighs = False
     guide = Guide(

@@ -18,6 +18,7 @@ from motes.filters.setup import Setup, canonical_parts, carry_like, setup
 from motes.io import archive
 from motes.io.members import Form
 from motes.models.canonical import shape_of
+from motes.models.interface import Model
 from motes.models.state_space import numbers_of
 from motes.native import report
 from motes.tracing.compiling import jitted
@@ -105,8 +106,8 @@ class Stream:
             carry, info = _take_in(self._form, self._parts, carry, y)
         if self.filter.on_collapse == "raise" and bool(info.collapsed):
             at_step = jax.tree.map(lambda leaf: leaf[None], info)
-            told = History({}, at_step, carry, carry.step, self.model.names, repr(self.filter), **self.filter.traits)
-            told.raise_on_collapse()
+            so_far = History({}, at_step, carry, carry.step, self.model.names, repr(self.filter), **self.filter.traits)
+            so_far.raise_on_collapse()
         self._carry, self.info, self._updated, self._pending = carry, info, True, []
         return info
 
@@ -253,6 +254,6 @@ def _shape(leaf: Any) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype)
 
 
-def stream(key: KeyLike, filter: Filter, model: Any, inputs: Inputs = None) -> Stream:
+def stream(key: KeyLike, filter: Filter, model: Model, inputs: Inputs = None) -> Stream:
     """Start on-line filtering; see `Stream`."""
     return Stream(key, filter, model, inputs)

@@ -16,6 +16,15 @@ class UnscentedKalmanFilter(OneGaussian, TwoStageFilter):
 
     Sigma points lie alpha sqrt(x + kappa) standard deviations from the mean. The defaults never give a negative variance.
 
+    Source: Julier, Uhlmann 1997, A new extension of the Kalman filter to nonlinear systems; Wan, van der Merwe 2000, The unscented
+    Kalman filter for nonlinear estimation.
+
+    Example:
+        >>> model = mo.textbook.radar_tracking()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> mo.run(1, mo.UnscentedKalmanFilter(), model, ys).mean.shape
+        (50, 6)
+
     Attributes:
         alpha: spread of the points, above 0. Small ones read the slope at the mean, and need float64 below about 1e-2.
         beta: what is known of the fourth moments; 2 suits Gaussians.

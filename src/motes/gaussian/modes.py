@@ -46,12 +46,12 @@ def measured(rule: Rule, model: JumpMarkovModel, law: ModeMixture, y: jax.Array,
         t: the time.
 
     Returns:
-        The correction; components without weight have the highest peak there is, so that a good fit of theirs hides no collapse.
+        The correction; components without weight have the highest maximum there is, so that a good fit of theirs hides no collapse.
     """
     done = [rule.measured(part.sensor, block, y, u, t) for part, block in zip(model.models, _blocks(model, law), strict=True)]
-    evidence, peak = (jnp.concatenate([getattr(one, name) for one in done]) for name in ("log_evidence", "peak"))
-    peak = jnp.where(jnp.isfinite(law.log_weights), peak, jnp.finfo(peak.dtype).max)
-    return Correction(_joined([one.law for one in done]), evidence, peak)
+    evidence, max_log_evidence = (jnp.concatenate([getattr(one, name) for one in done]) for name in ("log_evidence", "max_log_evidence"))
+    max_log_evidence = jnp.where(jnp.isfinite(law.log_weights), max_log_evidence, jnp.finfo(max_log_evidence.dtype).max)
+    return Correction(_joined([one.law for one in done]), evidence, max_log_evidence)
 
 
 def expected(rule: Rule, model: JumpMarkovModel, law: ModeMixture, columns: jax.Array, u: Any, t: Any) -> Gaussian:

@@ -7,7 +7,7 @@ from motes.core import engine, logspace, random, sums
 from motes.core.record import record, replace
 from motes.laws.circular import gathered
 from motes.laws.law import Law
-from motes.laws.switching import number_of, shares
+from motes.laws.switching import mode_weights, number_of
 
 
 @engine.replaceable
@@ -67,24 +67,24 @@ class Cloud(Law):
 
     def mode_probabilities(self, count: int = 0) -> jax.Array | None:
         """Probabilities of the modes, `(count,)`; see `Law`."""
-        return shares(number_of(self.particles[-1], count), self.weights, count) if count else None
+        return mode_weights(number_of(self.particles[-1], count), self.weights, count) if count else None
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n particles with replacement, `(x, n)`."""
         return self.particles[:, draw(key, self.log_weights, n)]
 
-    def picked(self, ancestors: jax.Array) -> "Cloud":
+    def resampled(self, ancestors: jax.Array) -> "Cloud":
         """Return the cloud of the named particles `(n,)`, with equal weights."""
         return Cloud(self.particles[:, ancestors], logspace.uniform_weights(ancestors.shape[0], self.particles.dtype), ancestors)
 
-    def unpicked(self) -> "Cloud":
+    def not_resampled(self) -> "Cloud":
         """Return the cloud as it is, each particle its own ancestor."""
         return replace(self, ancestors=jnp.arange(self.ancestors.shape[0], dtype=jnp.int32))
 
-    def transported(self, shares: jax.Array) -> "Cloud":
-        """Return the cloud of n particles, equally weighted, that hold shares `(n, n)` of the old ones (columns sum to n w)."""
+    def transported(self, plan: jax.Array) -> "Cloud":
+        """Return the cloud of n particles, equally weighted, by a transport plan `(n, n)` of the old ones (columns sum to n w)."""
         center = self.mean()[:, None]
-        moved = center + jnp.matmul(self.particles - center, shares.T, precision=jax.lax.Precision.HIGHEST)
+        moved = center + jnp.matmul(self.particles - center, plan.T, precision=jax.lax.Precision.HIGHEST)
         return Cloud.equal(moved)
 
     def gathered(self, angles: tuple[int, ...]) -> "Cloud":
@@ -102,12 +102,12 @@ def draw(key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
     return pick(jnp.exp(log_weights), random.uniform(key, (n,), log_weights.dtype))
 
 
-def pick(amounts: jax.Array, points: jax.Array) -> jax.Array:
-    """Indices int32 that belong to uniform numbers in [0, 1), of any shape, in proportion to amounts `(n,)`."""
-    edges = jax.lax.cummax(jnp.cumsum(amounts))
-    return jnp.minimum(jnp.searchsorted(edges, points * edges[-1], side="right"), last_positive(amounts)).astype(jnp.int32)
+def pick(weights: jax.Array, points: jax.Array) -> jax.Array:
+    """Indices int32 that belong to uniform numbers in [0, 1), of any shape, in proportion to weights `(n,)`."""
+    edges = jax.lax.cummax(jnp.cumsum(weights))
+    return jnp.minimum(jnp.searchsorted(edges, points * edges[-1], side="right"), last_positive(weights)).astype(jnp.int32)
 
 
-def last_positive(amounts: jax.Array) -> jax.Array:
-    """Index of the last amount that is not zero, `()` int32: rounding must not lead beyond it."""
-    return jnp.max(jnp.where(amounts > 0, jnp.arange(amounts.shape[0], dtype=jnp.int32), 0))
+def last_positive(weights: jax.Array) -> jax.Array:
+    """Index of the last weight that is not zero, `()` int32: rounding must not lead beyond it."""
+    return jnp.max(jnp.where(weights > 0, jnp.arange(weights.shape[0], dtype=jnp.int32), 0))

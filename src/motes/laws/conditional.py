@@ -15,7 +15,7 @@ from motes.core import checks, linalg, random
 from motes.core.record import record, static
 from motes.core.types import MatrixLike, UserFunction
 from motes.laws.circular import wrap
-from motes.laws.density import log_normal, log_normal_peak, measured_in
+from motes.laws.density import log_normal, max_log_normal, measured_in
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law, Shifted, as_law, check_size
 
@@ -67,7 +67,7 @@ class Conditional(ABC):
         Values of each particle's own were drawn, not measured: NaN among them gives NaN.
         """
 
-    def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+    def max_log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Largest value that `log_prob` can take for each particle, `()` or `(n,)`; infinite when not known."""
         return jnp.full((), jnp.inf, X.dtype)
 
@@ -174,10 +174,10 @@ class AdditiveGaussian(Conditional):
         size, cov = jnp.abs(value) if size is None else size, matrix_over(self.Q, X, u, t)
         return log_normal(self.residual(value, self.means(X, u, t)), cov, _measured(value, cov), size, None, trusted)
 
-    def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+    def max_log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density at a perfect fit."""
         cov = matrix_over(self.Q, X, u, t)
-        return log_normal_peak(value, cov, _measured(value, cov))
+        return max_log_normal(value, cov, _measured(value, cov))
 
 
 @record

@@ -55,7 +55,7 @@ def log_normal(
     return log_density(*_reduced(residual, cov, seen), seen, size, exact, trusted)[0]
 
 
-def log_normal_peak(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:
+def max_log_normal(residual: jax.Array, cov: jax.Array, seen: jax.Array | None = None) -> jax.Array:
     """Largest value that `log_normal` takes with the same covariance and components, `()` or `(n,)`."""
     return log_density(*_reduced(residual, cov, seen), seen)[1]
 
@@ -92,7 +92,7 @@ def log_density(
     exact: jax.Array | None = None,
     trusted: float | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """`log_normal` and its peak, from the lower factor of the covariance; components not seen are zero and of variance one.
+    """`log_normal` and its maximum, from the lower factor of the covariance; components not seen are zero and of variance one.
 
     Args:
         residual: `(y, *n)`.
@@ -108,8 +108,8 @@ def log_density(
     believed = ~alive if exact is None else ~alive & (exact[:, None] if exact.ndim < alive.ndim else exact)
     off = jnp.any(believed[:, None] & (beyond > 0) if believed.ndim < beyond.ndim else believed & (beyond > 0), axis=0)
     counted = alive if seen is None else alive & (seen[:, None] if seen.ndim < alive.ndim else seen)
-    peak = -0.5 * (linalg.log_determinant(factor) + LOG_2PI * jnp.sum(counted, axis=0))
-    return jnp.where(off, -jnp.inf, peak - 0.5 * jnp.sum(white**2, axis=0)), peak
+    highest = -0.5 * (linalg.log_determinant(factor) + LOG_2PI * jnp.sum(counted, axis=0))
+    return jnp.where(off, -jnp.inf, highest - 0.5 * jnp.sum(white**2, axis=0)), highest
 
 
 def _whitened(factor: jax.Array, residual: jax.Array, size: jax.Array | float, trusted: float) -> tuple[jax.Array, jax.Array]:

@@ -60,10 +60,10 @@ class FactoredGaussian(Law):
         triangle = linalg.triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]), terms)
         factor, gain, left = triangle[:size, :size], triangle[size:, :size], triangle[size:, size:]
         size, exact = linalg.times_vector(jnp.abs(H), jnp.abs(self.center)), ~(linalg.diagonal_of(noise) > 0)
-        log_evidence, peak = log_density(innovation, factor, seen, size, exact, carried(factor.dtype))
+        log_evidence, max_log_evidence = log_density(innovation, factor, seen, size, exact, carried(factor.dtype))
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = self.center + linalg.times_vector(gain, linalg.solve_lower(factor, usable))
-        return Correction(FactoredGaussian(center, left), log_evidence, peak)
+        return Correction(FactoredGaussian(center, left), log_evidence, max_log_evidence)
 
     def _deviations(self) -> jax.Array:
         """Standard deviations of the states, `(x,)`."""

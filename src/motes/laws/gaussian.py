@@ -6,6 +6,7 @@ from typing import Generic, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from motes.core import checks, linalg, random
 from motes.core.record import record
@@ -27,7 +28,7 @@ class Gaussian(Law):
     center: jax.Array
     covariance: jax.Array
 
-    def __init__(self, mean: jax.Array, cov: jax.Array):
+    def __init__(self, mean: ArrayLike, cov: ArrayLike):
         """Check shapes and, where the numbers are known, that the covariance is one.
 
         Args:
@@ -127,7 +128,7 @@ class Gaussian(Law):
         # the barriers keep compilers from working factor and gain out again for every entry that uses them
         factor = jax.lax.optimization_barrier(factor)
         size = linalg.times_vector(jnp.abs(H), jnp.abs(self.center))
-        log_evidence, peak = log_density(innovation, factor, seen, size, exact, carried(P.dtype))
+        log_evidence, max_log_evidence = log_density(innovation, factor, seen, size, exact, carried(P.dtype))
         gain = jax.lax.optimization_barrier(linalg.transpose(linalg.solve(*same_batch(factor, cross))))
         usable = jnp.where(jnp.isfinite(innovation), innovation, 0)
         center = linalg.add_vectors(linalg.times_vector(gain, usable), self.center)
@@ -136,7 +137,7 @@ class Gaussian(Law):
         known = jnp.any(exact, axis=0)
         joseph = linalg.add(_without_rounding(linalg.sandwich(kept, P), known, _terms(terms, P)),
                             _without_rounding(linalg.sandwich(gain, R), known, _terms(gain, R)))
-        return Correction(_kept_where(jnp.isnan(log_evidence), self, Gaussian(center, joseph)), log_evidence, peak)
+        return Correction(_kept_where(jnp.isnan(log_evidence), self, Gaussian(center, joseph)), log_evidence, max_log_evidence)
 
     def corrected_in_turn(
         self, innovation: jax.Array, slopes: Sequence[tuple[Sequence[int], jax.Array]], R: jax.Array, seen: jax.Array | None = None
@@ -160,7 +161,7 @@ class Gaussian(Law):
         parts = [linalg.solve_lower(*same_batch(factor, part)) for _, part in slopes]
         places = [(state, part, j) for (states, _), part in zip(slopes, parts, strict=True) for j, state in enumerate(states)]
         center, P = self.center, self.covariance
-        peak, distance, off = (jnp.zeros((), P.dtype),) * 3
+        max_log_evidence, distance, off = (jnp.zeros((), P.dtype),) * 3
         for i in range(innovation.shape[0]):
             row = [(state, part[i, j]) for state, part, j in places]
             zero = jnp.zeros_like(center[0])
@@ -174,12 +175,13 @@ class Gaussian(Law):
             lower = jnp.where(used, linalg.inverse(jnp.maximum(variance, (1 + ROUNDING * jnp.finfo(P.dtype).eps) * before)), 0)
             center = center + cross * (inverse * jnp.where(jnp.isfinite(residual), residual, 0))
             P = linalg.rank_update(P, cross, -lower)
-            peak = peak - jnp.where(used & (variance > 0), 0.5 * (jnp.log(jnp.where(variance > 0, variance, 1)) + LOG_2PI), 0)
+            half = 0.5 * (jnp.log(jnp.where(variance > 0, variance, 1)) + LOG_2PI)
+            max_log_evidence = max_log_evidence - jnp.where(used & (variance > 0), half, 0)
             distance = distance + inverse * residual**2
             size = linalg.total([jnp.abs(slope * self.center[state]) for state, slope in row], zero) + jnp.abs(innovation[i])
             off = jnp.maximum(off, jnp.where(used & ~(variance > 0), jnp.abs(residual) - carried(P.dtype) * size, 0))
-        evidence = jnp.where(off > 0, -jnp.inf, peak - 0.5 * distance)
-        return Correction(_kept_where(jnp.isnan(evidence), self, Gaussian(center, P)), evidence, peak)
+        evidence = jnp.where(off > 0, -jnp.inf, max_log_evidence - 0.5 * distance)
+        return Correction(_kept_where(jnp.isnan(evidence), self, Gaussian(center, P)), evidence, max_log_evidence)
 
     def pinned(self, states: Sequence[int], noise: jax.Array) -> "Gaussian":
         """Draw some of the states of each law and condition it on the draw; the drawn states are left with no variance at all.
@@ -206,13 +208,13 @@ class Correction(NamedTuple, Generic[L]):
     Attributes:
         law: the conditional law.
         log_evidence: log density of the measurement before it was known, `()` or `(n,)`; NaN where the prediction is not a number.
-        peak: the same for a perfect prediction; half the squared Mahalanobis distance is the difference.
+        max_log_evidence: the same for a perfect prediction; half the squared Mahalanobis distance is the difference.
         count: number of components that were used, where whoever chose them says so.
     """
 
     law: L
     log_evidence: jax.Array
-    peak: jax.Array
+    max_log_evidence: jax.Array
     count: jax.Array | int = 0
 
 

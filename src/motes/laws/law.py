@@ -108,16 +108,16 @@ class Foreign(Law):
     @property
     def has_moments(self) -> bool:  # type: ignore[override]
         """Whether the object knows its mean and its variance or covariance."""
-        return self._told("mean") is not None and any(self._told(name) is not None for name in ("covariance_matrix", "variance"))
+        return self._attribute("mean") is not None and any(self._attribute(name) is not None for name in ("covariance_matrix", "variance"))
 
-    def _told(self, name: str) -> Any:
+    def _attribute(self, name: str) -> Any:
         try:
             return getattr(self.distribution, name, None)
         except NotImplementedError:
             return None
 
     def _moment(self, name: str) -> jax.Array:
-        value = self._told(name)
+        value = self._attribute(name)
         if value is None:
             kind = type(getattr(self.distribution, "of", self.distribution)).__name__
             refuse(f"law {kind}", f"one with a {name} (moments are needed here)", "sample and log_prob alone",
@@ -130,7 +130,7 @@ class Foreign(Law):
 
     def cov(self) -> jax.Array:
         """Covariance, `(x, x)`."""
-        if self._told("covariance_matrix") is not None:
+        if self._attribute("covariance_matrix") is not None:
             return self._moment("covariance_matrix")
         return jnp.diag(jnp.broadcast_to(self._moment("variance"), (self.size,)))
 
@@ -145,7 +145,7 @@ class Foreign(Law):
         if not self.independent:
             return self.distribution.log_prob(points)
         missing = jnp.isnan(points)
-        stand_in = self.mean().astype(points.dtype) if self._told("mean") is not None else 0
+        stand_in = self.mean().astype(points.dtype) if self._attribute("mean") is not None else 0
         each = self.distribution.log_prob(jnp.where(missing, stand_in, points))
         each = jnp.reshape(each, points.shape)
         return jnp.sum(jnp.where(missing, 0, each), axis=-1)

@@ -53,18 +53,18 @@ class MarginalCloud(Law):
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points of all states in the user's order, `(x, n)`."""
-        chosen = self.picked(draw(random.child(key, 0), self.log_weights, n))
+        chosen = self.resampled(draw(random.child(key, 0), self.log_weights, n))
         x_k = chosen.kalman.sample(random.child(key, 1), n)
         return linalg.take(jnp.concatenate([chosen.particles, x_k]), self.order)
 
-    def picked(self, ancestors: jax.Array) -> "MarginalCloud":
+    def resampled(self, ancestors: jax.Array) -> "MarginalCloud":
         """Return the cloud of the named particles `(n,)` with their Gaussians, equal weights."""
         cov = self.kalman.covariance
         kalman = Gaussian(self.kalman.center[:, ancestors], cov[..., ancestors] if cov.ndim == 3 else cov)
         equal = logspace.uniform_weights(ancestors.shape[0], self.log_weights.dtype)
         return MarginalCloud(self.particles[:, ancestors], kalman, equal, ancestors, self.order)
 
-    def unpicked(self) -> "MarginalCloud":
+    def not_resampled(self) -> "MarginalCloud":
         """Return the cloud as it is, each particle its own ancestor."""
         return replace(self, ancestors=jnp.arange(self.ancestors.shape[0], dtype=jnp.int32))
 

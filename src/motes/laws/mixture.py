@@ -4,6 +4,7 @@ from typing import Self
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from motes.core import checks, linalg, logspace, random, sums
 from motes.core.record import record, replace
@@ -41,17 +42,17 @@ class Mixture(Law):
     log_weights: jax.Array
 
     @classmethod
-    def of(cls, weights: jax.Array, means: jax.Array, covs: jax.Array) -> "Mixture":
+    def of(cls, weights: ArrayLike, means: ArrayLike, covs: ArrayLike) -> "Mixture":
         """Build a mixture from weights `(n,)`, means `(x, n)` and covariances `(x, x, n)`.
 
         Raises:
             MotesError: shapes do not fit, or weights are negative or all zero.
         """
-        parts, amounts = Gaussian(means, covs), checks.as_float("Mixture weights", weights)
-        checks.shape("Mixture weights", amounts, (parts.center.shape[-1],), "(one weight per component)")
-        if checks.is_concrete(amounts) and not (bool((amounts >= 0).all()) and float(amounts.sum()) > 0):
-            checks.refuse("Mixture weights", "weights >= 0 with a positive sum", amounts.tolist())
-        return cls(parts, logspace.normalize(jnp.log(amounts.astype(parts.center.dtype)))[0])
+        parts, weights = Gaussian(means, covs), checks.as_float("Mixture weights", weights)
+        checks.shape("Mixture weights", weights, (parts.center.shape[-1],), "(one weight per component)")
+        if checks.is_concrete(weights) and not (bool((weights >= 0).all()) and float(weights.sum()) > 0):
+            checks.refuse("Mixture weights", "weights >= 0 with a positive sum", weights.tolist())
+        return cls(parts, logspace.normalize(jnp.log(weights.astype(parts.center.dtype)))[0])
 
     @property
     def weights(self) -> jax.Array:
@@ -74,7 +75,7 @@ class Mixture(Law):
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points, `(x, n)`."""
-        return self.picked(draw(random.child(key, 0), self.log_weights, n)).parts.sample(random.child(key, 1), n)
+        return self.resampled(draw(random.child(key, 0), self.log_weights, n)).parts.sample(random.child(key, 1), n)
 
     def log_prob(self, value: jax.Array) -> jax.Array:
         """Log density at `(x,)` or `(x, n)`; NaN components are left out."""
@@ -90,13 +91,13 @@ class Mixture(Law):
         each = jax.vmap(of_one, in_axes=(-1, -1))(self.parts.center, cov)
         return jax.nn.logsumexp(each + self.log_weights[:, None], axis=0).reshape(shape)
 
-    def picked(self, ancestors: jax.Array) -> "Mixture":
+    def resampled(self, ancestors: jax.Array) -> "Mixture":
         """Return the mixture of the named components `(n,)`, with equal weights."""
         cov = self.parts.covariance
         parts = Gaussian(self.parts.center[:, ancestors], cov[..., ancestors] if cov.ndim == 3 else cov)
         return Mixture(parts, logspace.uniform_weights(ancestors.shape[0], self.log_weights.dtype))
 
-    def unpicked(self) -> "Mixture":
+    def not_resampled(self) -> "Mixture":
         """Return the mixture as it is; components keep no record of their ancestors."""
         return self
 

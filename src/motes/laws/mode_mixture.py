@@ -4,7 +4,7 @@ import jax
 
 from motes.core.record import record, replace, static
 from motes.laws.mixture import Mixture
-from motes.laws.switching import shares
+from motes.laws.switching import mode_weights
 
 
 @record
@@ -23,9 +23,9 @@ class ModeMixture(Mixture):
 
     def mode_probabilities(self, count: int = 0) -> jax.Array:
         """Probabilities of the modes, `(m,)`."""
-        return shares(self.modes, self.weights, self.count)
+        return mode_weights(self.modes, self.weights, self.count)
 
-    def picked(self, ancestors: jax.Array) -> "ModeMixture":
+    def resampled(self, ancestors: jax.Array) -> "ModeMixture":
         """Return the mixture of the named components `(n,)` with their modes, and with equal weights."""
-        chosen = Mixture.picked(self, ancestors)
+        chosen = Mixture.resampled(self, ancestors)
         return replace(self, parts=chosen.parts, log_weights=chosen.log_weights, modes=self.modes[ancestors])

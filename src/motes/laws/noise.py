@@ -5,6 +5,7 @@ from abc import abstractmethod
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from motes.core import checks, random
 from motes.core.record import record
@@ -40,7 +41,7 @@ class IndependentNoise(Law):
         return jnp.sum(jnp.where(missing, 0, each), axis=0)
 
 
-def _scales(argument: str, scale: jax.Array) -> jax.Array:
+def _scales(argument: str, scale: ArrayLike) -> jax.Array:
     value = jnp.atleast_1d(checks.as_float(argument, scale))
     if checks.is_concrete(value) and not bool((value > 0).all()):
         checks.refuse(argument, "positive scales, one per component", np.asarray(value).tolist())
@@ -63,7 +64,7 @@ class StudentT(IndependentNoise):
     scale: jax.Array
     df: jax.Array
 
-    def __init__(self, scale: jax.Array, df: float):
+    def __init__(self, scale: ArrayLike, df: float):
         """Check that scales and degrees of freedom are positive."""
         object.__setattr__(self, "scale", _scales("StudentT scale", scale))
         freedom = _scales("StudentT df", jnp.asarray(df, self.scale.dtype))
@@ -98,7 +99,7 @@ class Laplace(IndependentNoise):
 
     scale: jax.Array
 
-    def __init__(self, scale: jax.Array):
+    def __init__(self, scale: ArrayLike):
         """Check that scales are positive."""
         object.__setattr__(self, "scale", _scales("Laplace scale", scale))
 
@@ -129,7 +130,7 @@ class Uniform(IndependentNoise):
     low: jax.Array
     high: jax.Array
 
-    def __init__(self, low: jax.Array, high: jax.Array):
+    def __init__(self, low: ArrayLike, high: ArrayLike):
         """Check that the box has a volume."""
         lower, upper = (jnp.atleast_1d(checks.as_float(f"Uniform {word}", v)) for word, v in (("low", low), ("high", high)))
         checks.shape("Uniform high", upper, lower.shape, "(as low)")

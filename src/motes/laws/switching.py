@@ -12,7 +12,7 @@ from motes.laws.conditional import Conditional
 from motes.laws.law import Law
 
 
-def log_chances(probabilities: jax.Array) -> jax.Array:
+def log_probabilities(probabilities: jax.Array) -> jax.Array:
     """Logs of probabilities, minus infinity where they are zero."""
     possible = probabilities > 0
     return jnp.where(possible, jnp.log(jnp.where(possible, probabilities, 1)), -jnp.inf)
@@ -36,7 +36,7 @@ def of_mode(modes: jax.Array, each: list[jax.Array]) -> jax.Array:
     return result
 
 
-def shares(modes: jax.Array, weights: jax.Array, count: int) -> jax.Array:
+def mode_weights(modes: jax.Array, weights: jax.Array, count: int) -> jax.Array:
     """Weight `(count,)` of those in each mode, of modes `(n,)` as indices and weights `(n,)`."""
     numbers = jnp.arange(count, dtype=modes.dtype)
     return jnp.sum(jnp.where(modes == numbers[:, None], weights, 0), axis=1)
@@ -86,7 +86,7 @@ class SwitchingLaw(Law):
     def log_prob(self, value: jax.Array) -> jax.Array:
         """Log density at `(x + 1,)` or `(x + 1, n)`."""
         modes = number_of(value[-1], len(self.laws))
-        return log_chances(self.probabilities)[modes] + of_mode(modes, [law.log_prob(value[:-1]) for law in self.laws])
+        return log_probabilities(self.probabilities)[modes] + of_mode(modes, [law.log_prob(value[:-1]) for law in self.laws])
 
 
 @record
@@ -123,8 +123,8 @@ class SwitchingDynamics(Conditional):
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density given each particle; see `Conditional`."""
         before, after = (number_of(modes, len(self.parts)) for modes in (X[-1], value[-1]))
-        chances = log_chances(transition_matrix(self.transition, u, t, X.dtype))[before, after]
-        return chances + of_mode(after, [part.log_prob(value[:-1], X[:-1], u, t) for part in self.parts])
+        log_transition = log_probabilities(transition_matrix(self.transition, u, t, X.dtype))[before, after]
+        return log_transition + of_mode(after, [part.log_prob(value[:-1], X[:-1], u, t) for part in self.parts])
 
 
 @record
@@ -157,9 +157,9 @@ class SwitchingSensor(Conditional):
         """Log density given each particle; see `Conditional`."""
         return self._each(X, lambda part, X: part.log_prob(value, X, u, t))
 
-    def ceiling(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
+    def max_log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Largest value that `log_prob` can take for each particle."""
-        return self._each(X, lambda part, X: part.ceiling(value, X, u, t))
+        return self._each(X, lambda part, X: part.max_log_prob(value, X, u, t))
 
 
 def _refuse_moments() -> NoReturn:

@@ -32,7 +32,7 @@ class Learned:
         since: steps since the shape was changed, `()`.
         mean: of the positions since then, `(x,)`.
         scatter: sum of their squared deviations from it, `(x, x)`.
-        inner: memory of the kernel.
+        inner: state of the inner kernel.
     """
 
     log_scale: jax.Array
@@ -47,6 +47,14 @@ class Learned:
 @record
 class Adaptive(Wrapper):
     """A kernel that is tuned during the first steps of a chain, each chain on its own.
+
+    Source: Robbins, Monro 1951, A stochastic approximation method; Haario, Saksman, Tamminen 2001, An adaptive Metropolis algorithm.
+
+    Example:
+        >>> kernel = mo.mcmc.Adaptive(mo.mcmc.RandomWalkMetropolis())
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
 
     Attributes:
         kernel: `RandomWalkMetropolis`, `MALA`, `HMC` or `NUTS`; its own scale and factor do not count.
@@ -70,22 +78,22 @@ class Adaptive(Wrapper):
         if self.target is not None and not 0 < self.target < 1:
             checks.refuse("Adaptive target", "a probability between 0 and 1", self.target)
 
-    def around(self, memory: Any, position: Position) -> Learned:
+    def around(self, kernel_state: Any, position: Position) -> Learned:
         """Start with a scale for the standard normal density."""
         x = ravel_pytree(position)[0]
         first = jnp.log(jnp.asarray(self.kernel.first_scale(x.shape[0]), x.dtype))
         none, nothing = jnp.zeros((), x.dtype), jnp.zeros_like(x)
-        return Learned(first, jnp.eye(x.shape[0], dtype=x.dtype), jnp.int32(0), none, nothing, jnp.outer(nothing, nothing), memory)
+        return Learned(first, jnp.eye(x.shape[0], dtype=x.dtype), jnp.int32(0), none, nothing, jnp.outer(nothing, nothing), kernel_state)
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make a step and learn from it."""
-        known: Learned = state.memory
+        known: Learned = state.kernel_state
         kernel = self.kernel.tuned(jnp.exp(known.log_scale), known.factor)
-        after, info = kernel.step(key, log_density, replace(state, memory=known.inner), t)
+        after, info = kernel.step(key, log_density, replace(state, kernel_state=known.inner), t)
         x = ravel_pytree(after.position)[0]
         accepted = info.accepted[0].astype(x.dtype)
-        memory = jax.lax.cond(t < self.steps, lambda: self._learned(known, x, accepted, t), lambda: known)
-        return replace(after, memory=replace(memory, inner=after.memory)), info
+        kernel_state = jax.lax.cond(t < self.steps, lambda: self._learned(known, x, accepted, t), lambda: known)
+        return replace(after, kernel_state=replace(kernel_state, inner=after.kernel_state)), info
 
     def _learned(self, known: Learned, x: jax.Array, accepted: jax.Array, t: Any) -> Learned:
         size = x.shape[0]

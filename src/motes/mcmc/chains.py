@@ -63,7 +63,7 @@ class Chains:
 
     def diagnose(self) -> Diagnosis:
         """Say in words whether to trust the chains: see `mcmc.judgement`."""
-        return judgement.judged(self)
+        return judgement.diagnosis_of(self)
 
     def __str__(self) -> str:
         """Print the summary, the acceptance of each move and the verdict."""

@@ -15,7 +15,7 @@ from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, Wrap
 
 
 class Compound(Kernel):
-    """What cycles and mixtures share: several kernels, each with a memory of its own."""
+    """What cycles and mixtures share: several kernels, each with a state of its own."""
 
     kernels: tuple[Kernel, ...]
 
@@ -32,21 +32,30 @@ class Compound(Kernel):
         for kernel in self.kernels:
             kernel.check(key, log_density, position)
 
-    def remembered(self, log_density: LogDensity, position: Position) -> Any:
+    def init_kernel_state(self, log_density: LogDensity, position: Position) -> Any:
         """Return the memories of all."""
-        return tuple(kernel.remembered(log_density, position) for kernel in self.kernels)
+        return tuple(kernel.init_kernel_state(log_density, position) for kernel in self.kernels)
 
     def one(self, place: int, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make a step of one kernel."""
-        inner = replace(state, memory=state.memory[place])
+        inner = replace(state, kernel_state=state.kernel_state[place])
         after, info = self.kernels[place].step(random.step_key(key, place), log_density, inner, t)
-        memory = (*state.memory[:place], after.memory, *state.memory[place + 1 :])
-        return replace(after, memory=memory), info
+        kernel_state = (*state.kernel_state[:place], after.kernel_state, *state.kernel_state[place + 1 :])
+        return replace(after, kernel_state=kernel_state), info
 
 
 @record
 class Cycle(Compound):
     """Several kernels, one after the other in every step.
+
+    Source: Tierney 1994, Markov chains for exploring posterior distributions.
+
+    Example:
+        >>> walk = mo.mcmc.RandomWalkMetropolis(2.0)
+        >>> kernel = mo.mcmc.Cycle([mo.mcmc.Block("x", walk), mo.mcmc.Block("y", walk)])
+        >>> chains = mo.sample(0, kernel, lambda at: -0.5 * (at["x"] ** 2 + at["y"] ** 2), {"x": 0.0, "y": 0.0})
+        >>> chains.positions["y"].shape
+        (4, 1000)
 
     Attributes:
         kernels: in their order.
@@ -74,6 +83,14 @@ class Cycle(Compound):
 @record
 class Mix(Compound):
     """One of several kernels in every step, drawn with fixed probabilities.
+
+    Source: Tierney 1994, Markov chains for exploring posterior distributions.
+
+    Example:
+        >>> kernel = mo.mcmc.Mix([mo.mcmc.RandomWalkMetropolis(1.0), mo.mcmc.RandomWalkMetropolis(10.0)], weights=[0.8, 0.2])
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
 
     Attributes:
         kernels: what there is to draw from.
@@ -114,6 +131,14 @@ class Mix(Compound):
 class Block(Kernel):
     """A kernel for a part of the position, all else held fixed; several in a `Cycle` are Metropolis within Gibbs.
 
+    Source: Tierney 1994, Markov chains for exploring posterior distributions.
+
+    Example:
+        >>> kernel = mo.mcmc.Block("x", mo.mcmc.RandomWalkMetropolis(2.0))
+        >>> chains = mo.sample(0, kernel, lambda at: -0.5 * (at["x"] - at["y"]) ** 2, {"x": 0.0, "y": 5.0})
+        >>> float(chains.positions["y"].max())
+        5.0
+
     Attributes:
         part: of a dictionary a name or a tuple of names, of a record or named tuple a name, of an array an index or several.
         kernel: for the part.
@@ -145,9 +170,9 @@ class Block(Kernel):
         inner = check_part("Block part", position, self.part)
         self.kernel.check(key, self._given(log_density, position), inner)
 
-    def remembered(self, log_density: LogDensity, position: Position) -> Any:
-        """Return the memory of the kernel."""
-        return self.kernel.remembered(self._given(log_density, position), take(position, self.part))
+    def init_kernel_state(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the state of the inner kernel."""
+        return self.kernel.init_kernel_state(self._given(log_density, position), take(position, self.part))
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Move the part."""
@@ -159,6 +184,14 @@ class Block(Kernel):
 @record
 class Repeat(Wrapper):
     """Several steps of a kernel as one: thinning.
+
+    Source: Tierney 1994, Markov chains for exploring posterior distributions.
+
+    Example:
+        >>> kernel = mo.mcmc.Repeat(mo.mcmc.RandomWalkMetropolis(2.4), times=5)
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
 
     Attributes:
         kernel: whose steps they are.

@@ -47,6 +47,15 @@ Move = Callable[[jax.Array, jax.Array, Any], tuple[jax.Array, Any]]
 class GeneralizedSampler(Kernel):
     """A sampler in terms of Phi, Q, Psi and R.
 
+    Source: Keith, Kroese, Bryant 2004, A generalized Markov sampler.
+
+    Example:
+        >>> flip = lambda m, x: mo.mcmc.Orbit(jnp.array([0, 0]), jnp.stack([x, -x]), jnp.zeros(2), 0)
+        >>> kernel = mo.mcmc.GeneralizedSampler(phi=lambda x: jnp.ones(1, bool), q=lambda m, x: jnp.zeros(1), psi=flip)
+        >>> chains = mo.sample(0, kernel, lambda x: x[0], jnp.ones(1))  # at -1 or 1
+        >>> chains.positions.shape
+        (4, 1000, 1)
+
     Attributes:
         phi: position to `(m,)`, whether each type can be had there.
         q: type and position to log probabilities `(m,)` of the next type.
@@ -76,7 +85,7 @@ class GeneralizedSampler(Kernel):
             if self.psi is None:
                 checks.refuse("GeneralizedSampler psi", f"a function that gives orbits (r is {self.r!r})", "None")
 
-    def remembered(self, log_density: LogDensity, position: Position) -> Any:
+    def init_kernel_state(self, log_density: LogDensity, position: Position) -> Any:
         """Return the type that the chain carries along."""
         return jnp.int32(self.start)
 
@@ -98,7 +107,7 @@ class GeneralizedSampler(Kernel):
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make a Q step and an R step."""
         x = state.position
-        m = draw(random.child(key, random.PREDICT), self.q(state.memory, x), 1)[0]
+        m = draw(random.child(key, random.PREDICT), self.q(state.kernel_state, x), 1)[0]
         r_key = random.child(key, random.UPDATE)
         if callable(self.r):
             k, z = self.r(r_key, m, x)

@@ -17,6 +17,16 @@ Draw = Callable[[jax.Array, Any], Any]
 class Gibbs(Kernel):
     """Draws parts, or blocks of parts, of a position from their conditional laws.
 
+    Source: Geman, Geman 1984, Stochastic relaxation, Gibbs distributions, and the Bayesian restoration of images.
+
+    Example:
+        >>> draw = lambda other: lambda key, at: 0.6 * at[other] + 0.8 * jax.random.normal(key)
+        >>> kernel = mo.mcmc.Gibbs({"x": draw("y"), "y": draw("x")})
+        >>> log_density = lambda at: (1.2 * at["x"] * at["y"] - at["x"] ** 2 - at["y"] ** 2) / 1.28
+        >>> chains = mo.sample(0, kernel, log_density, {"x": 0.0, "y": 0.0})
+        >>> chains.positions["x"].shape
+        (4, 1000)
+
     Attributes:
         draws: pairs of a part (see `mcmc.Block`; a tuple of names is a block of a dictionary) and a function of a key and the position
             that draws the part's new value.

@@ -63,23 +63,32 @@ class GradientKernel(Kernel, Tunable):
         def there(z: jax.Array) -> jax.Array:
             return x + (z if self.factor is None else jnp.matmul(self.factor.astype(x.dtype), z, precision=jax.lax.Precision.HIGHEST))
 
-        def judged(z: jax.Array) -> jax.Array:
+        def log_density_of(z: jax.Array) -> jax.Array:
             value = log_density(rebuild(there(z)))
             return jnp.where(jnp.isnan(value) | (value == jnp.inf), -jnp.inf, value)
 
         module, options = self.trajectory(random.child(key, random.INITIAL), x.shape[0], x.dtype)
-        begun = module.init(jnp.zeros_like(x), judged)
-        found, told = module.build_kernel()(random.child(key, random.PREDICT), begun, judged, *options)
+        begun = module.init(jnp.zeros_like(x), log_density_of)
+        found, report = module.build_kernel()(random.child(key, random.PREDICT), begun, log_density_of, *options)
         # rounding in x + 0 must not move a chain that stays
         stays = jnp.all(found.position == 0)
         position = jax.tree.map(lambda new, old: jnp.where(stays, old, new), rebuild(there(found.position)), state.position)
         after = State(position, jnp.where(stays, state.log_density, found.logdensity))
-        return after, Info.of_one(jnp.nan_to_num(told.acceptance_rate), told.is_divergent)
+        return after, Info.of_one(jnp.nan_to_num(report.acceptance_rate), report.is_divergent)
 
 
 @record
 class MALA(GradientKernel):
-    """Metropolis-adjusted Langevin steps."""
+    """Metropolis-adjusted Langevin steps.
+
+    Source: Roberts, Tweedie 1996, Exponential convergence of Langevin distributions and their discrete approximations.
+
+    Example:
+        >>> kernel = mo.mcmc.Adaptive(mo.mcmc.MALA())
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
+    """
 
     def target(self, size: int) -> float:
         """0.574 (Roberts, Rosenthal 1998)."""
@@ -93,6 +102,14 @@ class MALA(GradientKernel):
 @record
 class HMC(GradientKernel):
     """Hamiltonian trajectories of a random number of steps (Mackenzie 1989): those of one length may come back to where they began.
+
+    Source: Duane, Kennedy, Pendleton, Roweth 1987, Hybrid Monte Carlo; Mackenzie 1989, An improved hybrid Monte Carlo method.
+
+    Example:
+        >>> kernel = mo.mcmc.Adaptive(mo.mcmc.HMC(num_steps=10))
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
 
     Attributes:
         step_size: of a leapfrog step, `()`.
@@ -126,6 +143,14 @@ class HMC(GradientKernel):
 @record
 class NUTS(GradientKernel):
     """Hamiltonian trajectories that end where they turn back: the no-U-turn sampler.
+
+    Source: Hoffman, Gelman 2014, The No-U-Turn sampler: adaptively setting path lengths in Hamiltonian Monte Carlo.
+
+    Example:
+        >>> kernel = mo.mcmc.Adaptive(mo.mcmc.NUTS())
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
 
     Attributes:
         step_size: of a leapfrog step, `()`.

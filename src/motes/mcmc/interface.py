@@ -27,12 +27,12 @@ class State:
     Attributes:
         position: tree of arrays.
         log_density: of the position, `()`.
-        memory: what the kernel keeps for itself: what it learns, or would have to work out again.
+        kernel_state: what the kernel keeps for itself: what it learns, or would have to work out again.
     """
 
     position: Position
     log_density: jax.Array
-    memory: Any = ()
+    kernel_state: Any = ()
 
 
 @record
@@ -85,13 +85,13 @@ class Kernel(ABC):
             MotesError: naming what is wrong.
         """
 
-    def remembered(self, log_density: LogDensity, position: Position) -> Any:
-        """Return the memory of a chain that starts at a position."""
+    def init_kernel_state(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the state of the kernel in a chain that starts at a position."""
         return ()
 
     def init(self, key: jax.Array, log_density: LogDensity, position: Position) -> State:
         """Return the state of a chain that starts at a position."""
-        return State(position, jnp.asarray(log_density(position)), self.remembered(log_density, position))
+        return State(position, jnp.asarray(log_density(position)), self.init_kernel_state(log_density, position))
 
     @abstractmethod
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
@@ -121,12 +121,12 @@ class Tunable(ABC):
         """Return the kernel with a step size `()` for densities of covariance L L', L `(x, x)` lower."""
 
 
-def settle(key: jax.Array, state: State, proposed: State, log_ratio: jax.Array) -> tuple[State, Info]:
+def accept_or_stay(key: jax.Array, state: State, proposed: State, log_ratio: jax.Array) -> tuple[State, Info]:
     """Go to the proposed state with probability min(1, exp(log_ratio)), else stay (Djuric 2004, equations 5 and 8)."""
     invalid = jnp.isnan(log_ratio) | (log_ratio == jnp.inf)
-    chance = jnp.where(invalid, 0, jnp.exp(jnp.minimum(log_ratio, 0)))
-    taken = random.uniform(key, (), chance.dtype) < chance
-    return jax.tree.map(lambda new, old: jnp.where(taken, new, old), proposed, state), Info.of_one(chance, invalid)
+    probability = jnp.where(invalid, 0, jnp.exp(jnp.minimum(log_ratio, 0)))
+    taken = random.uniform(key, (), probability.dtype) < probability
+    return jax.tree.map(lambda new, old: jnp.where(taken, new, old), proposed, state), Info.of_one(probability, invalid)
 
 
 class Proposing(Kernel):
@@ -142,18 +142,18 @@ class Proposing(Kernel):
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make one step."""
-        return self.judged(key, lambda position: State(position, log_density(position)), state, t)
+        return self.step_by(key, lambda position: State(position, log_density(position)), state, t)
 
-    def judged(self, key: jax.Array, judge: Callable[[Position], State], state: State, t: Any) -> tuple[State, Info]:
-        """Propose a position, give it to `judge`, which returns its state, and go there or stay."""
+    def step_by(self, key: jax.Array, evaluate: Callable[[Position], State], state: State, t: Any) -> tuple[State, Info]:
+        """Propose a position, give it to `evaluate`, which returns its state, and go there or stay."""
         x, rebuild = ravel_pytree(state.position)
         new, log_proposals = self.proposed(random.child(key, random.PREDICT), x, t)
-        there = judge(rebuild(new))
-        return settle(random.child(key, random.UPDATE), state, there, there.log_density - state.log_density + log_proposals)
+        there = evaluate(rebuild(new))
+        return accept_or_stay(random.child(key, random.UPDATE), state, there, there.log_density - state.log_density + log_proposals)
 
 
 class Wrapper(Kernel):
-    """A kernel around another: moves, checks, start and memory are the inner one's, in what `around` puts about them."""
+    """A kernel around another: moves, checks, start and state are the inner one's, in what `around` puts about them."""
 
     kernel: Any
 
@@ -166,18 +166,18 @@ class Wrapper(Kernel):
         """Check the kernel."""
         self.kernel.check(key, log_density, position)
 
-    def around(self, memory: Any, position: Position) -> Any:
-        """Return the memory of this kernel with the inner one's in it."""
-        return memory
+    def around(self, kernel_state: Any, position: Position) -> Any:
+        """Return the state of this kernel with that of the inner one in it."""
+        return kernel_state
 
-    def remembered(self, log_density: LogDensity, position: Position) -> Any:
-        """Return the memory of a chain that starts at a position."""
-        return self.around(self.kernel.remembered(log_density, position), position)
+    def init_kernel_state(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the state of the kernel in a chain that starts at a position."""
+        return self.around(self.kernel.init_kernel_state(log_density, position), position)
 
     def init(self, key: jax.Array, log_density: LogDensity, position: Position) -> State:
         """Start as the inner kernel does."""
         inner = self.kernel.init(key, log_density, position)
-        return replace(inner, memory=self.around(inner.memory, position))
+        return replace(inner, kernel_state=self.around(inner.kernel_state, position))
 
 
 def as_kernel(argument: str, value: Any) -> Kernel:

@@ -31,13 +31,13 @@ def summary(columns: Mapping[str, np.ndarray]) -> Table:
     for name, draws in columns.items():
         values = np.asarray(draws, np.float64)
         low, high = np.quantile(values, convergence.TAILS)
-        told = (values.mean(), values.std(ddof=1) if values.size > 1 else np.nan, low, high)
+        summary = (values.mean(), values.std(ddof=1) if values.size > 1 else np.nan, low, high)
         sure = (convergence.standard_error(values), convergence.bulk_ess(values), convergence.tail_ess(values), convergence.r_hat(values))
-        rows.append((name, *map(float, told), *sure))
+        rows.append((name, *map(float, summary), *sure))
     return Table(COLUMNS, tuple(rows))
 
 
-def judged(chains: Any) -> Diagnosis:
+def diagnosis_of(chains: Any) -> Diagnosis:
     """Judge chains; see the head of this file."""
     columns = chains.columns()
     return Diagnosis.of([_invalid(chains), _stuck(chains), _never(chains), _mixed(columns), _few(columns), _alone(chains)])

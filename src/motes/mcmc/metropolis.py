@@ -21,6 +21,14 @@ from motes.mcmc.interface import LogDensity, Proposing, Tunable
 class RandomWalkMetropolis(Proposing, Tunable):
     """Gaussian steps about the present position; all its arrays are taken as one vector of x numbers.
 
+    Source: Metropolis, Rosenbluth, Rosenbluth, Teller, Teller 1953, Equation of state calculations by fast computing machines.
+
+    Example:
+        >>> kernel = mo.mcmc.RandomWalkMetropolis(scale=2.4)
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
+
     Attributes:
         scale: standard deviation of a step, `()` or `(x,)`, or a lower factor L `(x, x)` of its covariance L L'.
     """
@@ -71,6 +79,14 @@ class RandomWalkMetropolis(Proposing, Tunable):
 class IndependenceMetropolis(Proposing):
     """Proposals from one law, wherever the chain is; good where the law has heavier tails than the density.
 
+    Source: Hastings 1970, Monte Carlo sampling methods using Markov chains and their applications.
+
+    Example:
+        >>> kernel = mo.mcmc.IndependenceMetropolis(mo.Gaussian(jnp.zeros(1), 4 * jnp.eye(1)))
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
+
     Attributes:
         law: of a position, all its arrays taken as one vector `(x,)`.
     """
@@ -94,6 +110,14 @@ class IndependenceMetropolis(Proposing):
 @record
 class MetropolisHastings(Proposing):
     """Any proposal.
+
+    Source: Hastings 1970, Monte Carlo sampling methods using Markov chains and their applications.
+
+    Example:
+        >>> kernel = mo.mcmc.MetropolisHastings(mo.AdditiveGaussian(lambda x, u, t: 0.5 * x, jnp.eye(1)))
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
 
     Attributes:
         proposal: a conditional such as `AdditiveGaussian` or `Custom`, of the new position given the old one, both as one vector `(x,)`.

@@ -15,7 +15,7 @@ from motes.core import checks, random
 from motes.core.record import record, static
 from motes.laws.cloud import draw
 from motes.laws.conditional import Conditional, as_conditional
-from motes.mcmc.interface import Info, Kernel, LogDensity, State, check_whole, settle
+from motes.mcmc.interface import Info, Kernel, LogDensity, State, accept_or_stay, check_whole
 
 WEIGHTS = {"importance": (0.0, -1.0), "plain": (1.0, 0.0)}
 """Powers of T(y, x) and T(x, y) in the weight: lambda is 1 / (T(x, y) T(y, x)), or 1."""
@@ -24,6 +24,14 @@ WEIGHTS = {"importance": (0.0, -1.0), "plain": (1.0, 0.0)}
 @record
 class MultipleTry(Kernel):
     """The best of several proposals; k = 1 is Metropolis-Hastings, to the same numbers.
+
+    Source: Liu, Liang, Wong 2000, The multiple-try method and local optimization in Metropolis sampling.
+
+    Example:
+        >>> kernel = mo.mcmc.MultipleTry(mo.AdditiveGaussian(lambda x, u, t: x, 9 * jnp.eye(1)), tries=4)
+        >>> chains = mo.sample(0, kernel, lambda x: -0.5 * x @ x, jnp.zeros(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
 
     Attributes:
         proposal: conditional of a new position given the old one, both as one vector `(x,)`; its functions get None for u.
@@ -78,5 +86,5 @@ class MultipleTry(Kernel):
         reference, known = jnp.concatenate([others, x[:, None]], axis=1), jnp.append(known, state.log_density)
         known = jnp.where(jnp.isnan(known), -jnp.inf, known)
         log_ratio = jnp.where(jnp.isfinite(total), total - jax.nn.logsumexp(log_weights(reference, y, known)), -jnp.inf)
-        after, info = settle(random.child(key, random.UPDATE), state, State(rebuild(y), densities[chosen]), log_ratio)
+        after, info = accept_or_stay(random.child(key, random.UPDATE), state, State(rebuild(y), densities[chosen]), log_ratio)
         return after, Info(info.tried, info.accepted, info.invalid + jnp.sum(wrong, dtype=jnp.int32))

@@ -25,6 +25,16 @@ TARGET = 0.2
 class PseudoMarginal(Wrapper, Tunable):
     """A Metropolis-Hastings kernel for a log density with a method `estimate(key, position)`, such as `parameters.Posterior`.
 
+    Source: Beaumont 2003, Estimation of population growth or decline in genetically monitored populations; Andrieu, Roberts 2009, The
+    pseudo-marginal approach for efficient Monte Carlo computations.
+
+    Example:
+        >>> model, prior = mo.textbook.growth(), mo.Gaussian(jnp.zeros(1), jnp.eye(1))
+        >>> xs, ys = mo.simulate(0, model, 20)
+        >>> noisy = lambda theta: mo.replace(model, sensor=mo.replace(model.sensor, Q=jnp.exp(theta[0]) * jnp.eye(1)))
+        >>> posterior = mo.parameters.Posterior(prior, noisy, mo.ParticleFilter(n=100), ys)
+        >>> chains = mo.sample(1, mo.mcmc.PseudoMarginal(mo.mcmc.RandomWalkMetropolis(1.0)), posterior, posterior.starts, draws=100)
+
     Attributes:
         kernel: makes the proposals: `RandomWalkMetropolis`, `IndependenceMetropolis` or `MetropolisHastings`.
         renewed: share of the steps whose random numbers a proposal draws anew; below 1 is the correlated form, for a density with `steps`
@@ -55,19 +65,19 @@ class PseudoMarginal(Wrapper, Tunable):
         super().check(key, log_density, position)
 
     def init(self, key: jax.Array, log_density: Any, position: Position) -> State:
-        """Return the state of a chain with an estimate of its density; its memory are the keys that gave it."""
+        """Return the state of a chain with an estimate of its density; the state of the kernel are the keys that gave it."""
         keys = self._renewed(key, log_density, None)
         return State(position, log_density.estimate(keys, position), self._kept(keys))
 
-    def remembered(self, log_density: LogDensity, position: Position) -> Any:
-        """Return no memory, which only the correlated form has.
+    def init_kernel_state(self, log_density: LogDensity, position: Position) -> Any:
+        """Return nothing: a state is what only the correlated form has.
 
         Raises:
             MotesError: the correlated form is one of several kernels.
         """
         if self.renewed < 1:
             checks.refuse("PseudoMarginal renewed", "1 in a Cycle or Mix", self.renewed, "Other kernels would not keep its random numbers.")
-        return super().remembered(log_density, position)
+        return super().init_kernel_state(log_density, position)
 
     def _kept(self, keys: jax.Array) -> Any:
         return jax.random.key_data(keys) if self.renewed < 1 else ()
@@ -89,8 +99,8 @@ class PseudoMarginal(Wrapper, Tunable):
 
     def step(self, key: jax.Array, log_density: Any, state: State, t: Any) -> tuple[State, Info]:
         """Make one step."""
-        keys = self._renewed(random.child(key, random.FILTER), log_density, state.memory)
-        return self.kernel.judged(key, lambda position: State(position, log_density.estimate(keys, position), self._kept(keys)), state, t)
+        keys = self._renewed(random.child(key, random.FILTER), log_density, state.kernel_state)
+        return self.kernel.step_by(key, lambda position: State(position, log_density.estimate(keys, position), self._kept(keys)), state, t)
 
     def target(self, size: int) -> float:
         """Less than for known densities."""

@@ -21,6 +21,15 @@ from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, Wrap
 class Reparametrized(Wrapper):
     """A kernel that moves in other coordinates; density, draws and start stay in the first ones.
 
+    Source: Yu, Meng 2011, To center or not to center: that is not the question; an ancillarity-sufficiency interweaving strategy (ASIS)
+    for boosting MCMC efficiency.
+
+    Example:
+        >>> kernel = mo.mcmc.Reparametrized(mo.mcmc.RandomWalkMetropolis(1.5), to=jnp.log, back=jnp.exp)
+        >>> chains = mo.sample(0, kernel, lambda x: -x[0], jnp.ones(1))
+        >>> chains.positions.shape
+        (4, 1000, 1)
+
     Attributes:
         kernel: for positions z.
         to: function from positions x to positions z.
@@ -76,15 +85,15 @@ class Reparametrized(Wrapper):
         """Start as the kernel does in its coordinates."""
         z = self.to(position)
         inner = self.kernel.init(key, self._given(log_density), z)
-        return State(position, inner.log_density - self._volume(z), inner.memory)
+        return State(position, inner.log_density - self._volume(z), inner.kernel_state)
 
-    def remembered(self, log_density: LogDensity, position: Position) -> Any:
-        """Return the memory of the kernel."""
-        return self.kernel.remembered(self._given(log_density), self.to(position))
+    def init_kernel_state(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the state of the inner kernel."""
+        return self.kernel.init_kernel_state(self._given(log_density), self.to(position))
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make a step of the kernel and come back."""
         z = self.to(state.position)
-        there = State(z, state.log_density + self._volume(z), state.memory)
+        there = State(z, state.log_density + self._volume(z), state.kernel_state)
         after, info = self.kernel.step(key, self._given(log_density), there, t)
-        return State(self.back(after.position), after.log_density - self._volume(after.position), after.memory), info
+        return State(self.back(after.position), after.log_density - self._volume(after.position), after.kernel_state), info

@@ -18,7 +18,7 @@ import numpy as np
 from motes.core import checks, lapack, logspace, random
 from motes.core.record import record, replace, static
 from motes.laws.cloud import draw
-from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, as_kernel, settle
+from motes.mcmc.interface import Info, Kernel, LogDensity, Position, State, accept_or_stay, as_kernel
 from motes.mcmc.jumps import Configuration, Jump
 
 TRIALS = 60
@@ -37,6 +37,16 @@ class Proposed(NamedTuple):
 @record
 class ReversibleJump(Kernel):
     """Jumps between models; positions are `mcmc.Configuration`s.
+
+    Source: Green 1995, Reversible jump Markov chain Monte Carlo computation and Bayesian model determination.
+
+    Example:
+        >>> jumps = mo.mcmc.birth_death(mo.Gaussian(jnp.zeros(1), jnp.eye(1)), most=4)
+        >>> kernel = mo.mcmc.ReversibleJump(jumps, size=lambda k: k, within=mo.mcmc.RandomWalkMetropolis(1.0))
+        >>> log_density = lambda at: -0.5 * jnp.sum(at.x**2) - 0.5 * jnp.log(2 * jnp.pi) * at.model
+        >>> chains = mo.sample(0, kernel, log_density, mo.mcmc.Configuration(1, jnp.zeros(4)))
+        >>> chains.positions.x.shape
+        (4, 1000, 4)
 
     Attributes:
         jumps: names and jumps.
@@ -84,9 +94,9 @@ class ReversibleJump(Kernel):
         """The jumps, then the moves within a model."""
         return (*self.names, *(f"within: {move}" for move in (self.within.moves if self.within else ())))
 
-    def remembered(self, log_density: LogDensity, position: Position) -> Any:
-        """Return the memory of the kernel that moves within models."""
-        return () if self.within is None else self.within.remembered(self._given(log_density, position.model), position.x)
+    def init_kernel_state(self, log_density: LogDensity, position: Position) -> Any:
+        """Return the state of the kernel that moves within models."""
+        return () if self.within is None else self.within.init_kernel_state(self._given(log_density, position.model), position.x)
 
     def init(self, key: jax.Array, log_density: LogDensity, position: Position) -> State:
         """Return the state of a chain, with zeros where nothing lives."""
@@ -156,23 +166,23 @@ class ReversibleJump(Kernel):
         log_ratio = log_ratio + self._log_jumps(there)[backs[chosen]] - log_jumps[chosen] + density - state.log_density
         # where nothing can be chosen, and where the map is not undone, the chain stays
         allowed = undone & jnp.isfinite(log_jumps[chosen])
-        after, told = settle(
+        after, done = accept_or_stay(
             random.child(key, random.UPDATE),
             state,
             replace(state, position=there, log_density=density),
             jnp.where(allowed, log_ratio, -jnp.inf),
         )
         own = (jnp.arange(len(self.jumps)) == chosen) & jnp.isfinite(log_jumps[chosen])
-        broken = told.invalid | (~undone).astype(jnp.int32)
-        info = Info(own * told.tried, own * told.accepted, own * broken)
+        broken = done.invalid | (~undone).astype(jnp.int32)
+        info = Info(own * done.tried, own * done.accepted, own * broken)
         return (after, info) if self.within is None else self._stayed(self.within, key, log_density, after, t, info)
 
     def _stayed(self, within: Kernel, key: jax.Array, log_density: LogDensity, state: State, t: Any, jumped: Info) -> tuple[State, Info]:
         """Move x within its model."""
         model = state.position.model
-        inner = State(state.position.x, state.log_density, state.memory)
+        inner = State(state.position.x, state.log_density, state.kernel_state)
         after, info = within.step(random.child(key, random.MEASURE), self._given(log_density, model), inner, t)
-        return State(self._padded(Configuration(model, after.position)), after.log_density, after.memory), Info.joined([jumped, info])
+        return State(self._padded(Configuration(model, after.position)), after.log_density, after.kernel_state), Info.joined([jumped, info])
 
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Try the jumps from the start and from where they lead, and refuse a map that its reverse does not undo."""

@@ -16,7 +16,7 @@ import numpy as np
 from motes.core import checks
 from motes.core.record import record, static
 from motes.core.types import Inputs
-from motes.laws.switching import SwitchingDynamics, SwitchingLaw, SwitchingSensor, log_chances, transition_matrix
+from motes.laws.switching import SwitchingDynamics, SwitchingLaw, SwitchingSensor, log_probabilities, transition_matrix
 from motes.models.interface import Model, Wrap, exchanged
 from motes.models.state_space import StateSpaceModel
 
@@ -83,7 +83,7 @@ class JumpMarkovModel(Model):
 
     def log_transition(self, u: Any, t: Any) -> jax.Array:
         """Log probabilities `(m, m)` of going from the mode of a row at t - 1 to that of a column at t."""
-        return log_chances(transition_matrix(self.transition, u, t, self.dtype))
+        return log_probabilities(transition_matrix(self.transition, u, t, self.dtype))
 
     def check(self, inputs_of_step: Inputs) -> None:
         """Run all functions on shapes alone and refuse what does not fit.

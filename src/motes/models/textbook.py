@@ -1,4 +1,4 @@
-"""Models that papers share, with the numbers that those leave open filled in."""
+"""Small models to begin with: those that papers share, with the numbers that they leave open filled in."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,41 @@ import numpy as np
 
 from motes.laws.conditional import AdditiveGaussian, LinearGaussian
 from motes.laws.gaussian import Gaussian
+from motes.models.jump_markov import JumpMarkovModel
 from motes.models.state_space import StateSpaceModel
+
+
+def constant_velocity(period: float = 1.0, acceleration: float = 0.1) -> StateSpaceModel:
+    """A point of nearly constant velocity in the plane, its position measured: linear and Gaussian, so that `KalmanFilter` is exact.
+
+    Position and velocity along two axes: m, m/s. Each axis is driven by white noise of acceleration (Bar-Shalom, Li, Kirubarajan 2001,
+    section 6.2.2), and measured with a standard deviation of 1 m.
+
+    Args:
+        period: seconds between measurements.
+        acceleration: spectral density of its square, m^2/s^3.
+    """
+    A = np.eye(4) + period * np.eye(4, k=2)
+    Q = acceleration * np.kron([[period**3 / 3, period**2 / 2], [period**2 / 2, period]], np.eye(2))
+    kind = jnp.result_type(float)
+    return StateSpaceModel(
+        Gaussian(jnp.zeros(4), jnp.diag(jnp.array([10.0, 10, 1, 1]))),
+        LinearGaussian(jnp.asarray(A, kind), jnp.asarray(Q, kind)),
+        LinearGaussian(jnp.eye(2, 4), jnp.eye(2)),
+        ("px", "py", "vx", "vy"),
+    )
+
+
+def maneuvers(period: float = 1.0) -> JumpMarkovModel:
+    """A target that flies straight and now and then maneuvers: a jump-Markov system of two modes of `constant_velocity`.
+
+    The second mode has 400 times the noise of acceleration; a maneuver begins with probability 0.05 in a step and ends with 0.2.
+
+    Args:
+        period: seconds between measurements.
+    """
+    calm, wild = constant_velocity(period, 0.01), constant_velocity(period, 4.0)
+    return JumpMarkovModel(jnp.array([0.8, 0.2]), jnp.array([[0.95, 0.05], [0.2, 0.8]]), (calm, wild))
 
 
 def radar_tracking(period: float = 0.5) -> StateSpaceModel:

@@ -47,7 +47,7 @@ class StudentMixture(Law):
 
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points, `(x, n)`: normal deviations over the root of a mean of squared ones."""
-        chosen = self.mixture.picked(draw(random.child(key, 0), self.mixture.log_weights, n)).parts
+        chosen = self.mixture.resampled(draw(random.child(key, 0), self.mixture.log_weights, n)).parts
         size = chosen.center.shape[0]
         noise = random.normal(random.child(key, 1), (size + DEGREES, n), chosen.center.dtype)
         scale = jnp.sqrt(jnp.mean(noise[size:] ** 2, axis=0))
@@ -65,9 +65,9 @@ class StudentMixture(Law):
 
         def of_one(center: jax.Array, scale: jax.Array) -> jax.Array:
             # the Gaussian's density tells both the distance and the determinant
-            peak = log_normal(jnp.zeros((size, 1), points.dtype), scale)
-            squared = 2 * (peak - log_normal(points - center[:, None], scale))
-            log_root = -peak - 0.5 * size * jnp.log(2 * jnp.pi)
+            highest = log_normal(jnp.zeros((size, 1), points.dtype), scale)
+            squared = 2 * (highest - log_normal(points - center[:, None], scale))
+            log_root = -highest - 0.5 * size * jnp.log(2 * jnp.pi)
             return constant - log_root - (DEGREES + size) / 2 * jnp.log1p(squared / DEGREES)
 
         return jax.vmap(of_one, in_axes=(-1, -1))(self.mixture.parts.center, self.mixture.parts.covariance)
@@ -142,15 +142,15 @@ def _as_mixture(law: Gaussian | Mixture) -> Mixture:
 def _fitted(law: StudentMixture, log_weights: jax.Array, points: jax.Array) -> StudentMixture:
     """Step once from expectation to maximization."""
     each = law.each(points) + law.mixture.log_weights[:, None]
-    shares = jnp.exp(log_weights + each - jax.nn.logsumexp(each, axis=0))
-    amounts = jnp.sum(shares, axis=1)
-    own = shares / jnp.maximum(amounts, 1e-30)[:, None]
+    weights = jnp.exp(log_weights + each - jax.nn.logsumexp(each, axis=0))
+    totals = jnp.sum(weights, axis=1)
+    own = weights / jnp.maximum(totals, 1e-30)[:, None]
     center = jnp.einsum("mn,xn->xm", own, points, precision=jax.lax.Precision.HIGHEST)
     off = points[:, :, None] - center[:, None]
     cov = jnp.einsum("mn,xnm,ynm->xym", own, off, off, precision=jax.lax.Precision.HIGHEST)
     # a component that lives on few points keeps its old shape
-    enough = (amounts > LEAST_SHARE) & (1 / jnp.sum(own**2, axis=1) > 2 * points.shape[0] + 2)
+    enough = (totals > LEAST_SHARE) & (1 / jnp.sum(own**2, axis=1) > 2 * points.shape[0] + 2)
     old = law.mixture.parts
     scale = linalg.symmetric(cov) * ((DEGREES - 2) / DEGREES)
     parts = Gaussian(jnp.where(enough, center, old.center), jnp.where(enough, scale, old.covariance))
-    return StudentMixture(Mixture(parts, logspace.normalize(jnp.log(jnp.maximum(amounts, LEAST_SHARE)))[0]))
+    return StudentMixture(Mixture(parts, logspace.normalize(jnp.log(jnp.maximum(totals, LEAST_SHARE)))[0]))

@@ -53,19 +53,19 @@ def anneal(key: KeyLike, kernel: Kernel, log_density: LogDensity, init: Any, ste
 
     def one(key: jax.Array) -> tuple[Any, jax.Array]:
         def cooled(held: Any, t: jax.Array) -> tuple[Any, None]:
-            position, memory, best, most = held
+            position, kernel_state, best, most = held
             power = 10.0 ** (3 * t / max(steps - 1, 1))
 
             def raised(position: Any) -> jax.Array:
                 return power * log_density(position)
 
-            state, _ = kernel.step(random.step_key(key, t), raised, State(position, raised(position), memory), t)
+            state, _ = kernel.step(random.step_key(key, t), raised, State(position, raised(position), kernel_state), t)
             value = state.log_density / power
             better = value > most
             best = jax.tree.map(lambda new, old: jnp.where(better, new, old), state.position, best)
-            return (state.position, state.memory, best, jnp.where(better, value, most)), None
+            return (state.position, state.kernel_state, best, jnp.where(better, value, most)), None
 
-        begun = (position, kernel.remembered(log_density, position), position, jnp.asarray(log_density(position)))
+        begun = (position, kernel.init_kernel_state(log_density, position), position, jnp.asarray(log_density(position)))
         (_, _, best, most), _ = jax.lax.scan(cooled, begun, jnp.arange(steps, dtype=jnp.int32))
         return best, most
 

@@ -53,10 +53,10 @@ class Estimate:
     def __str__(self) -> str:
         """Print values with their errors, and the verdict."""
         pairs = zip(np.ravel(np.asarray(self.value)), np.ravel(np.asarray(self.error)), strict=True)
-        told = ", ".join(f"{value:.6g} +- {error:.2g}" for value, error in pairs)
+        values = ", ".join(f"{value:.6g} +- {error:.2g}" for value, error in pairs)
         evidence = f"; log evidence {float(self.log_evidence):.6g} +- {float(self.log_evidence_error):.2g}"
         also = evidence if np.isfinite(self.log_evidence) else ""
-        return f"{told} ({int(self.n)} points, {float(self.ess):.0f} effective{also})\n{self.diagnose()}"
+        return f"{values} ({int(self.n)} points, {float(self.ess):.0f} effective{also})\n{self.diagnose()}"
 
 
 def _findings(estimate: Estimate) -> list[Finding]:
@@ -114,10 +114,10 @@ def densities_at(log_density: Any, points: jax.Array) -> jax.Array:
     return found
 
 
-def mixture_log_prob(laws: Sequence[Any], amounts: jax.Array, points: jax.Array) -> jax.Array:
-    """Log density of a mixture of laws at points `(x, n)`, in proportion to amounts."""
+def mixture_log_prob(laws: Sequence[Any], proportions: jax.Array, points: jax.Array) -> jax.Array:
+    """Log density of a mixture of laws at points `(x, n)`, in proportion to proportions."""
     each = jnp.stack([law.log_prob(points) for law in laws])
-    return jax.nn.logsumexp(each + jnp.log(amounts / jnp.sum(amounts))[:, None], axis=0)
+    return jax.nn.logsumexp(each + jnp.log(proportions / jnp.sum(proportions))[:, None], axis=0)
 
 
 def averaged(log_weights: jax.Array, values: jax.Array, normalized: bool) -> Estimate:
@@ -132,17 +132,17 @@ def averaged(log_weights: jax.Array, values: jax.Array, normalized: bool) -> Est
     invalid = jnp.isnan(log_weights)
     log_weights = jnp.where(invalid, -jnp.inf, log_weights)
     normal, total = logspace.normalize(log_weights)
-    shares = jnp.exp(normal)
+    weights = jnp.exp(normal)
     # a point without weight tells nothing, whatever the function is there
-    seen = jnp.where(shares > 0, values, 0)
+    seen = jnp.where(weights > 0, values, 0)
     if normalized:
         weighed = seen * jnp.exp(log_weights)
         value, error = jnp.mean(weighed, axis=-1), jnp.std(weighed, axis=-1, ddof=1) / n**0.5
         log_evidence = log_evidence_error = jnp.full((), jnp.nan, log_weights.dtype)
     else:
-        value = jnp.sum(seen * shares, axis=-1)
+        value = jnp.sum(seen * weights, axis=-1)
         # by the delta method; Geweke 1989
-        error = jnp.sqrt(jnp.sum((shares * jnp.where(shares > 0, values - value[..., None], 0)) ** 2, axis=-1))
-        log_evidence, log_evidence_error = total - jnp.log(jnp.asarray(n, total.dtype)), jnp.std(n * shares, ddof=1) / n**0.5
+        error = jnp.sqrt(jnp.sum((weights * jnp.where(weights > 0, values - value[..., None], 0)) ** 2, axis=-1))
+        log_evidence, log_evidence_error = total - jnp.log(jnp.asarray(n, total.dtype)), jnp.std(n * weights, ddof=1) / n**0.5
     size, tail = logspace.effective_size(normal), pareto_k(log_weights)
     return Estimate(value, error, n, size, tail, log_evidence, log_evidence_error, jnp.sum(invalid))

@@ -99,13 +99,13 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
         particles, share = _after_moves(random.child(key, random.PREDICT), kernel, target, particles[:, ancestors], how.moves)
         return b + db, particles, densities_at(log_likelihood, particles), gain, logspace.effective_size(weights), share
 
-    b, total, told = jnp.zeros((), values.dtype), 0.0, []
+    b, total, steps = jnp.zeros((), values.dtype), 0.0, []
     for turn in range(MOST_STEPS):
         b, particles, values, gain, size, share = advance(random.step_key(key, turn), b, particles, values)
         total += float(gain)
-        told.append((float(b), float(size), float(share)))
+        steps.append((float(b), float(size), float(share)))
         if float(b) >= 1:
-            exponents, sizes, shares = np.array(told).T
+            exponents, sizes, shares = np.array(steps).T
             return Tempered(Cloud.equal(particles), total, np.append(0.0, exponents), sizes, shares)
     given = f"an exponent of {float(b):.3g} after them"
     checks.refuse("temper log_likelihood", f"one that {MOST_STEPS} steps lead to", given, "Use more particles.")

@@ -103,20 +103,20 @@ def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.A
 def resampled(key: jax.Array, scheme: Scheme, policy: Policy, law: Any, log_score: jax.Array | None) -> Any:
     """See `policy.resampled`."""
     chosen = ancestors(key, scheme, policy, law.log_weights) if log_score is None else None
-    return None if chosen is None else replace(law.picked(chosen[0]), log_weights=chosen[1])
+    return None if chosen is None else replace(law.resampled(chosen[0]), log_weights=chosen[1])
 
 
-def joint_weights(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, jax.Array] | None:
+def joint_weights(log_weights: jax.Array, log_likelihood: jax.Array, max_log_likelihood: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """See `logspace.joint_weights`."""
     if log_weights.shape[0] < FEWEST or not usable(log_weights, log_likelihood):
         return None
     shapes = (jax.ShapeDtypeStruct(log_weights.shape, jnp.float32), jax.ShapeDtypeStruct((6,), jnp.float32))
-    ceiling = jnp.broadcast_to(ceiling, log_likelihood.shape).astype(jnp.float32)
+    max_log_likelihood = jnp.broadcast_to(max_log_likelihood, log_likelihood.shape).astype(jnp.float32)
 
-    def native(log_weights: jax.Array, log_likelihood: jax.Array, ceiling: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return tuple(_call("weigh", shapes, log_likelihood, log_weights, ceiling))
+    def native(log_weights: jax.Array, log_likelihood: jax.Array, max_log_likelihood: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return tuple(_call("weigh", shapes, log_likelihood, log_weights, max_log_likelihood))
 
-    return differentiable(native, engine.original(logspace.joint_weights))(log_weights, log_likelihood, ceiling)
+    return differentiable(native, engine.original(logspace.joint_weights))(log_weights, log_likelihood, max_log_likelihood)
 
 
 for implementation in (normal_block, weighted_moments, resampled, joint_weights):

@@ -26,7 +26,7 @@ class Parts:
         """Find which arrays have the particle axis, by asking for one particle more."""
         n = cloud.log_weights.shape[0]
         leaves, self.tree = jax.tree.flatten(cloud)
-        probe = jax.eval_shape(lambda cloud: cloud.picked(jnp.zeros((n + 1,), jnp.int32)), cloud)
+        probe = jax.eval_shape(lambda cloud: cloud.resampled(jnp.zeros((n + 1,), jnp.int32)), cloud)
         own = (id(cloud.log_weights), id(getattr(cloud, "ancestors", None)))
         self.places = [
             i for i, (leaf, other) in enumerate(zip(leaves, jax.tree.leaves(probe), strict=True))
@@ -94,8 +94,8 @@ def update_weights(cloud: Any, likelihood_of: Callable[[Any], tuple[Any, jax.Arr
         return None
 
     def function(*lanes: jax.Array) -> list[jax.Array]:
-        after, likelihood, ceiling = likelihood_of(parts.cloud(lanes))
-        return [likelihood, ceiling, *parts.apart(after)]
+        after, likelihood, max_log_likelihood = likelihood_of(parts.cloud(lanes))
+        return [likelihood, max_log_likelihood, *parts.apart(after)]
 
     stage = _attempt("weigh", judgement, function, parts)
     if stage is None:
@@ -106,8 +106,8 @@ def update_weights(cloud: Any, likelihood_of: Callable[[Any], tuple[Any, jax.Arr
         return call_weigh(stage, words, log_weights, lanes)
 
     def pure(words: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
-        likelihood, ceiling, *outs = eval_jaxpr(program.jaxpr, consts, *lanes)
-        return *engine.original(logspace.joint_weights)(log_weights, likelihood, ceiling), outs[: len(lanes)]
+        likelihood, max_log_likelihood, *outs = eval_jaxpr(program.jaxpr, consts, *lanes)
+        return *engine.original(logspace.joint_weights)(log_weights, likelihood, max_log_likelihood), outs[: len(lanes)]
 
     given = (stage.words, cloud.log_weights, parts.lanes, program.consts)
     weights, found, lanes = blocks.differentiable(native, pure)(*given)

@@ -8,7 +8,7 @@ from motes.core import checks, engine
 
 _notes: ContextVar[dict[str, str] | None] = ContextVar("notes", default=None)
 _quiet: ContextVar[bool] = ContextVar("quiet", default=False)
-_told: set[str] = set()
+_warned: set[str] = set()
 
 FUSED, KERNELS, JAX = "native, fused", "native kernels around JAX", "JAX"
 _WAYS = (FUSED, KERNELS, JAX)
@@ -26,8 +26,8 @@ def note(stage: str, way: str, why: str) -> None:
         kept[stage] = f"{way}: {why}"
     what = "everything" if stage == ALL else f"stage {stage!r}"
     text = f"the native engine was asked for, but {what} runs {'on JAX' if way == JAX else f'as {way}'}: {why}."
-    if way != FUSED and not _quiet.get() and text not in _told:
-        _told.add(text)
+    if way != FUSED and not _quiet.get() and text not in _warned:
+        _warned.add(text)
         checks.warn(text)
 
 

@@ -46,14 +46,14 @@ def movement(function: Function, leaves: Sequence[jax.Array]) -> Stage:
 
 
 def judgement(function: Function, leaves: Sequence[jax.Array]) -> Stage:
-    """Translate a function of the arrays of a cloud that returns a log likelihood `(n,)`, its ceiling and the arrays, corrected.
+    """Translate a function of the arrays of a cloud that returns a log likelihood `(n,)`, its maximum and the arrays, corrected.
 
     Raises:
         Untranslatable: it cannot be; the text says why.
         CompileError: there is no compiler, or it failed.
     """
-    translator, (likelihood, ceiling, *outputs) = _translated(function, leaves)
-    weighing = [translator.scalars(value).reshape(-1)[0] for value in (likelihood, ceiling)]
+    translator, (likelihood, max_log_likelihood, *outputs) = _translated(function, leaves)
+    weighing = [translator.scalars(value).reshape(-1)[0] for value in (likelihood, max_log_likelihood)]
     return _compiled("weigh", translator, leaves, outputs, weighing)
 
 
@@ -91,7 +91,7 @@ def _compiled(kind: str, translator: Translator, leaves: Sequence[jax.Array], ou
             assignments += [f"y{row + i}[i] = {scalar.text};" for i, scalar in enumerate(scalars)]
             row += count
     if weighing:
-        assignments += [f"{name}[i] = {scalar.text};" for name, scalar in zip(("likelihood", "ceiling"), weighing, strict=True)]
+        assignments += [f"{name}[i] = {scalar.text};" for name, scalar in zip(("likelihood", "maximum"), weighing, strict=True)]
     elif not shapes:
         raise Untranslatable("dynamics that move nothing")
     source = _source(kind, translator, [(_rows(leaf), leaf.ndim) for leaf in leaves], shapes, assignments)
@@ -128,7 +128,7 @@ struct Model {{
     {draws}
   }}
   static void lanes(const uint32_t* P, const Rows<Model>& rows, const int32_t* __restrict ancestors, int64_t first, int m,
-                    const float (*__restrict noise)[BLOCK], float* __restrict likelihood, float* __restrict ceiling) {{
+                    const float (*__restrict noise)[BLOCK], float* __restrict likelihood, float* __restrict maximum) {{
     {constants}
 #pragma omp simd
     for (int i = 0; i < m; i++) {{
@@ -155,8 +155,8 @@ def call_weigh(
 ) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
     """Return normalized log weights `(n,)`, the judgement `(6,)` (see `logspace.joint_weights`) and the arrays, corrected."""
     made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
-    judged = jax.ShapeDtypeStruct((6,), jnp.float32)
-    weights, found, *results = _call(stage.kernel, [log_weights, judged, *made], words, log_weights, *leaves)
+    six = jax.ShapeDtypeStruct((6,), jnp.float32)
+    weights, found, *results = _call(stage.kernel, [log_weights, six, *made], words, log_weights, *leaves)
     return weights, found, [results.pop(0) if changed else leaf for leaf, changed in zip(leaves, stage.changed, strict=True)]
 
 

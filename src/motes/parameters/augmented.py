@@ -32,7 +32,7 @@ def augmented(given: Parametric, thetas: jax.Array, key: jax.Array, deviations: 
         x = model.dynamics.sample(random.child(key, random.PREDICT), z[size:, None], u, t)[:, 0]
         return jnp.concatenate([theta, x])
 
-    def judged(y: jax.Array, z: jax.Array, u: Any, t: Any) -> jax.Array:
+    def log_prob(y: jax.Array, z: jax.Array, u: Any, t: Any) -> jax.Array:
         return of(z).sensor.log_prob(y, z[size:, None], u, t)[0]
 
     if of(thetas[:, 0]).correlated:
@@ -41,4 +41,4 @@ def augmented(given: Parametric, thetas: jax.Array, key: jax.Array, deviations: 
     keys = random.step_keys(key, n)
     X = jax.vmap(lambda key, theta: of(theta).initial.sample(key, 1)[:, 0], in_axes=(0, -1), out_axes=-1)(keys, thetas)
     angles = tuple(size + a for a in of(thetas[:, 0]).circular)
-    return StateSpaceModel(Cloud.equal(jnp.concatenate([thetas, X])), Custom(moved, angles=angles), Custom(log_prob=judged))
+    return StateSpaceModel(Cloud.equal(jnp.concatenate([thetas, X])), Custom(moved, angles=angles), Custom(log_prob=log_prob))

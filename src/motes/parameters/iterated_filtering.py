@@ -65,15 +65,15 @@ def iterated_filtering(key: KeyLike, given: Parametric, n: int, deviations: Any,
         checks.refuse("iterated_filtering deviations", "positive numbers", first.tolist())
     key, beside = random.as_key(key), Beside(given)
     thetas = given.prior.sample(random.child(key, random.INITIAL), n)
-    told = []
+    results = []
     for turn in tracked(range(rounds), "iterated filtering", None):
         walk = first * 0.5 ** (turn / (HALVED_AFTER * rounds))
         thetas, likelihood, collapsed = _round(random.step_key(key, turn), given, thetas, walk, beside)
         if bool(collapsed):
             checks.refuse("iterated_filtering given", "parameters that explain the measurements", f"a collapse in round {turn}",
                           "Use more particles, or a prior that fits.", checks.CollapseError)
-        told.append((np.asarray(thetas.mean(axis=1)), np.asarray(thetas.std(axis=1)), float(likelihood)))
-    means, spread, likelihoods = (np.array(column) for column in zip(*told, strict=True))
+        results.append((np.asarray(thetas.mean(axis=1)), np.asarray(thetas.std(axis=1)), float(likelihood)))
+    means, spread, likelihoods = (np.array(column) for column in zip(*results, strict=True))
     return Iterated(means[-1], means, spread, likelihoods)
 
 

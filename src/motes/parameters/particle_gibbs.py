@@ -28,6 +28,17 @@ from motes.smoothers.parents import Move
 class ParticleGibbs(DrawsPaths):
     """Draws a path given the parameters; needs a `parameters.PathPosterior`.
 
+    Source: Andrieu, Doucet, Holenstein 2010, Particle Markov chain Monte Carlo methods; Lindsten, Jordan, Schon 2014, Particle Gibbs
+    with ancestor sampling.
+
+    Example:
+        >>> model, prior = mo.textbook.growth(), mo.Gaussian(jnp.zeros(1), jnp.eye(1))
+        >>> xs, ys = mo.simulate(0, model, 20)
+        >>> posterior = mo.parameters.PathPosterior(prior, lambda theta: model, ys)
+        >>> chains = mo.sample(1, mo.parameters.ParticleGibbs(n=20), posterior, posterior.start, draws=100)
+        >>> chains.positions["path"].shape
+        (4, 100, 20, 1)
+
     Attributes:
         n: particles, that of the path included.
         scheme: with a conditional form: `Multinomial`, `Systematic` or `Killing`.

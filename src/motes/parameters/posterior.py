@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, random, told
+from motes.core import checks, random, user_functions
 from motes.core.record import record, replace, static
 from motes.filters import keep
 from motes.filters.data import checked_data
@@ -41,7 +41,7 @@ class Parametric:
         law = as_law(f"{type(self).__name__} prior", prior)
         if not callable(model):
             checks.refuse(f"{type(self).__name__} model", "a function of the parameters that returns a model", type(model).__name__)
-        example = told.called(f"{type(self).__name__} model(theta)", model, law.sample(random.as_key(0), 1)[:, 0])
+        example = user_functions.called(f"{type(self).__name__} model(theta)", model, law.sample(random.as_key(0), 1)[:, 0])
         measured, inputs = jax.tree.map(jnp.asarray, checked_data(example, ys, inputs))
         for name, value in (("prior", law), ("model", model), ("ys", measured), ("inputs", inputs)):
             object.__setattr__(self, name, value)
@@ -107,7 +107,7 @@ class Posterior(Parametric):
         prior = self.prior.log_prob(theta)
         # a position where all weights vanish is an improbable one, not an error
         quiet = replace(self.filter, on_collapse="predict") if self.filter.on_collapse == "raise" else self.filter
-        history = run(key, quiet, told.called("Posterior model(theta)", self.model, theta), self.ys, self.inputs, keep.nothing)
+        history = run(key, quiet, user_functions.called("Posterior model(theta)", self.model, theta), self.ys, self.inputs, keep.nothing)
         likelihood = jnp.where(jnp.any(history.info.collapsed), -jnp.inf, history.log_likelihood)
         # outside the prior the model need not make sense
         return jnp.where(jnp.isfinite(prior), prior + likelihood, -jnp.inf)

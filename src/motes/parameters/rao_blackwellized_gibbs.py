@@ -35,6 +35,16 @@ class RaoBlackwellizedParticleGibbs(DrawsPaths):
 
     With every state marginalized it is the exact draw by a Kalman filter forward and sampling backward, and one particle is enough.
 
+    Source: Whiteley, Andrieu, Doucet 2010, Efficient Bayesian inference for switching state-space models using discrete particle Markov
+    chain Monte Carlo methods; Lindsten, Schon 2013, Backward simulation methods for Monte Carlo statistical inference.
+
+    Example:
+        >>> model, prior = mo.textbook.constant_velocity(), mo.Gaussian(jnp.zeros(1), jnp.eye(1))
+        >>> xs, ys = mo.simulate(0, model, 20)
+        >>> posterior = mo.parameters.PathPosterior(prior, lambda theta: model, ys)
+        >>> kernel = mo.parameters.RaoBlackwellizedParticleGibbs(n=20, linear=("vx", "vy"))
+        >>> chains = mo.sample(1, kernel, posterior, posterior.start, draws=100)
+
     Attributes:
         n: particles, that of the path included.
         linear: states to marginalize, by name or index; None for the largest set that the model's structure allows.
@@ -94,7 +104,7 @@ class _Following(TwoStageFilter):
         """Resample always, the first particle from itself, and move it along the path."""
         ancestors = Multinomial().conditional_ancestors(random.child(key, random.RESAMPLE), state.log_weights, jnp.int32(0))
         first, example = self._at(state, t), state.particles[:, 0]
-        return moved(random.child(key, random.NOISE), model, state.picked(ancestors), example, u, t, first)
+        return moved(random.child(key, random.NOISE), model, state.resampled(ancestors), example, u, t, first)
 
     def correct(self, key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.Array, u: Any, t: Any) -> tuple[MarginalCloud, Info]:
         """See `MarginalizedParticleFilter`."""

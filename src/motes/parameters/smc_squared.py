@@ -19,7 +19,7 @@ from motes.core.types import KeyLike
 from motes.filters.history import Carry
 from motes.filters.setup import Setup, setup
 from motes.laws.cloud import Cloud, weighted_moments
-from motes.mcmc.interface import State, settle
+from motes.mcmc.interface import State, accept_or_stay
 from motes.mcmc.metropolis import RandomWalkMetropolis
 from motes.models.state_space import at_step
 from motes.montecarlo.tempering import shaped
@@ -71,7 +71,7 @@ def smc_squared(key: KeyLike, posterior: Posterior, n: int, moves: int = 3, ess:
     thetas = posterior.prior.sample(random.child(key, random.INITIAL), n)
     keys = random.step_keys(random.child(key, random.FILTER), n)
     state, log_weights = _begun(posterior, thetas.T, keys, beside), logspace.uniform_weights(n, thetas.dtype)
-    told: list[tuple[Any, ...]] = []
+    stages: list[tuple[Any, ...]] = []
     total = 0.0
     for t in tracked(range(posterior.ys.shape[0]), "SMC^2", None):
         state, log_weights, gain = _taken_in(posterior, state, log_weights, jnp.int32(t), beside)
@@ -81,13 +81,13 @@ def smc_squared(key: KeyLike, posterior: Posterior, n: int, moves: int = 3, ess:
                           "Use more parameters or particles, or a prior that fits.", checks.CollapseError)
         size, rate = float(logspace.effective_size(log_weights)), np.nan
         mean, cov = weighted_moments(log_weights, state.position.T)
-        told.append((total, np.asarray(mean), np.asarray(cov), size))
+        stages.append((total, np.asarray(mean), np.asarray(cov), size))
         if size < ess * n:
             state, accepted = _moved(random.step_key(key, t), posterior, state, log_weights, (jnp.int32(t), beside), moves)
             log_weights, rate = logspace.uniform_weights(n, thetas.dtype), float(accepted)
-        told[-1] = (*told[-1], rate)
+        stages[-1] = (*stages[-1], rate)
     cloud = Cloud(state.position.T, log_weights, jnp.arange(n, dtype=jnp.int32))
-    return Sequential(cloud, *(np.array(column) for column in zip(*told, strict=True)))
+    return Sequential(cloud, *(np.array(column) for column in zip(*stages, strict=True)))
 
 
 def _ready(posterior: Posterior, key: jax.Array, theta: jax.Array) -> Setup:
@@ -120,7 +120,7 @@ def _taken_in(
     posterior: Posterior, state: State, log_weights: jax.Array, t: jax.Array, beside: Beside
 ) -> tuple[State, jax.Array, jax.Array]:
     def one(state: State) -> tuple[State, jax.Array]:
-        key, carry = state.memory
+        key, carry = state.kernel_state
         carry, gain = _next(_ready(posterior, key, state.position), carry, posterior.ys[t], at_step(posterior.inputs, t), t)
         return State(state.position, state.log_density + gain, (key, carry)), gain
 
@@ -162,7 +162,8 @@ def _once(
         (carry, likelihood), _ = loop(advance, begun, (posterior.ys, posterior.inputs, steps), count=t + 1)
         prior = posterior.prior.log_prob(theta)
         density = jnp.where(jnp.isfinite(prior), prior + likelihood, -jnp.inf)
-        state, info = settle(random.child(key, random.UPDATE), state, State(theta, density, (fresh, carry)), density - state.log_density)
+        there, log_ratio = State(theta, density, (fresh, carry)), density - state.log_density
+        state, info = accept_or_stay(random.child(key, random.UPDATE), state, there, log_ratio)
         return state, info.accepted[0]
 
     state, accepted = jax.vmap(one)(random.step_keys(key, state.log_density.shape[0]), state)

@@ -119,15 +119,15 @@ def _strip(result: StudyResult, block: str) -> str:
         parts.append(f'<text x="0" y="{middle + 4:.0f}">{escape(filter if len(filter) < 22 else filter[:20] + "...")}</text>')
         for run, value in enumerate(errors[place]):
             if math.isfinite(value) and value > 0:
-                told = f"<title>run {run}: {value:.4g}</title>"
-                parts.append(_mark(across(value), middle + (run % 7 - 3) * 3, bool(lost[place, run]), told))
+                title = f"<title>run {run}: {value:.4g}</title>"
+                parts.append(_mark(across(value), middle + (run % 7 - 3) * 3, bool(lost[place, run]), title))
     return "".join([*parts, "</svg>"])
 
 
-def _mark(x: float, y: float, lost: bool, told: str) -> str:
+def _mark(x: float, y: float, lost: bool, title: str) -> str:
     if lost:
-        return f'<path d="M-3-3L3 3M-3 3L3-3" transform="translate({x:.1f} {y:.0f})" stroke="#d55e00">{told}</path>'
-    return f'<circle cx="{x:.1f}" cy="{y:.0f}" r="2.5" fill="#0072b2" fill-opacity="0.5">{told}</circle>'
+        return f'<path d="M-3-3L3 3M-3 3L3-3" transform="translate({x:.1f} {y:.0f})" stroke="#d55e00">{title}</path>'
+    return f'<circle cx="{x:.1f}" cy="{y:.0f}" r="2.5" fill="#0072b2" fill-opacity="0.5">{title}</circle>'
 
 
 def _series(result: StudyResult, bound: Any) -> dict[str, Any]:

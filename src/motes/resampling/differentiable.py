@@ -13,10 +13,16 @@ from motes.resampling.schemes import Scheme, Systematic, W, weighted_anew
 
 @record
 class StopGradient(Scheme):
-    """A scheme whose picked particles keep the derivatives of their weights (Scibior, Wood 2021).
+    """A scheme whose resampled particles keep the derivatives of their weights (Scibior, Wood 2021).
 
-    A picked particle weighs w / stop(w) / n, where stop(w) is w without derivatives: values are those of the scheme, and the derivative of
-    the likelihood estimate is unbiased; that of its logarithm becomes so as n grows. The variance grows with the number of steps.
+    A resampled particle weighs w / stop(w) / n, where stop(w) is w without derivatives. Values are those of the scheme, and the
+    derivative of the likelihood estimate is unbiased; that of its logarithm becomes so as n grows. The variance grows with the number
+    of steps.
+
+    Source: Scibior, Wood 2021, Differentiable particle filtering without modifying the forward pass.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.StopGradient())
 
     Attributes:
         scheme: how ancestors are drawn.
@@ -33,17 +39,23 @@ class StopGradient(Scheme):
         """See `Scheme`."""
         drawn_by = jax.lax.stop_gradient(cloud.log_weights if first is None else first)
         ancestors = self.ancestors(key, drawn_by, drawn_by.shape[0])
-        return weighted_anew(cloud.picked(ancestors), cloud.log_weights, drawn_by, ancestors)  # type: ignore[return-value]
+        return weighted_anew(cloud.resampled(ancestors), cloud.log_weights, drawn_by, ancestors)  # type: ignore[return-value]
 
 
 @record
 class EntropicTransport(Scheme):
-    """Particles are moved, not picked: by the plan that takes the weighted cloud to an equally weighted one at least cost.
+    """Particles are moved, not resampled: by the plan that takes the weighted cloud to an equally weighted one at least cost.
 
     Reich 2013 for the plan; Corenflos, Thornton, Deligiannidis, Doucet 2021 for the entropy, which makes it differentiable. The cost is the
     squared distance over twice the number of states, each in units of its standard deviation, and `entropy` is the factor of the plan's
     entropy beside it: a small one asks for more Sinkhorn steps, a large one draws particles together. The mean is kept exactly, the
     covariance shrinks; the likelihood estimate is not unbiased. A step costs n^2, and only filters whose state is a `Cloud` can use it.
+
+    Source: Reich 2013, A nonparametric ensemble transform method for Bayesian inference; Corenflos, Thornton, Deligiannidis, Doucet
+    2021, Differentiable particle filtering via entropy-regularized optimal transport.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.EntropicTransport())
 
     Attributes:
         entropy: weight of the entropy.
@@ -61,7 +73,7 @@ class EntropicTransport(Scheme):
         checks.positive_integer("EntropicTransport steps", self.steps)
 
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
-        """Refuse: no particle is picked.
+        """Refuse: no particle is resampled.
 
         Raises:
             MotesError: always.

@@ -81,10 +81,10 @@ def resample(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W, log_score
     Args:
         key: JAX key.
         scheme: how.
-        policy: when, judged by the weights that particles are picked by.
+        policy: when, judged by the weights that particles are resampled by.
         cloud: law of n weighted particles.
-        log_score: log of factors on the weights that particles are picked by, `(n,)`, for a filter that looks ahead. Particles that were
-            picked then keep the inverse of their factor as weight: weights add up to one on average, not each time.
+        log_score: log of factors on the weights that particles are resampled by, `(n,)`, for a filter that looks ahead. Particles that were
+            resampled then keep the inverse of their factor as weight: weights add up to one on average, not each time.
     """
     after = resampled(key, scheme, policy, cloud, log_score)
     return gradients.noticed(after) if gradients.loses(scheme, policy) else after
@@ -100,5 +100,5 @@ def resampled(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W, log_scor
 
     needed = policy.needed(cloud.log_weights if first is None else first)
     if isinstance(needed, bool):
-        return chosen() if needed else cloud.unpicked()  # type: ignore[return-value]
-    return jax.lax.cond(jnp.asarray(needed), chosen, cloud.unpicked)
+        return chosen() if needed else cloud.not_resampled()  # type: ignore[return-value]
+    return jax.lax.cond(jnp.asarray(needed), chosen, cloud.not_resampled)

@@ -1,6 +1,6 @@
 """Many weighted hypotheses brought down to few without copies (Fearnhead, Clifford 2003).
 
-A copy of a hypothesis that goes on by no chance of its own is wasted. With c such that min(c w_i, 1) sums to n, hypotheses of weight above
+A copy of a hypothesis that goes on with no noise of its own is wasted. With c such that min(c w_i, 1) sums to n, hypotheses of weight above
 1 / c stay with their weights, and the rest is resampled systematically, each at most once, with weight 1 / c. A weight is unchanged on
 average and their sum is unchanged; of all such rules this one has the smallest expected squared error of the weights.
 """

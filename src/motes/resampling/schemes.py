@@ -27,11 +27,11 @@ class Weighted(Protocol):
         """Normalized, `(n,)`."""
         ...
 
-    def picked(self, ancestors: jax.Array) -> "Weighted":
+    def resampled(self, ancestors: jax.Array) -> "Weighted":
         """Return the law of the named particles `(n,)`, with equal weights."""
         ...
 
-    def unpicked(self) -> "Weighted":
+    def not_resampled(self) -> "Weighted":
         """Return the law as it is, each particle its own ancestor."""
         ...
 
@@ -59,8 +59,8 @@ class Scheme(ABC):
         """
         drawn_by = cloud.log_weights if first is None else first
         ancestors = self.ancestors(key, drawn_by, drawn_by.shape[0])
-        picked: W = cloud.picked(ancestors)  # type: ignore[assignment]
-        return picked if first is None else weighted_anew(picked, cloud.log_weights, first, ancestors)
+        chosen: W = cloud.resampled(ancestors)  # type: ignore[assignment]
+        return chosen if first is None else weighted_anew(chosen, cloud.log_weights, first, ancestors)
 
     @abstractmethod
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
@@ -97,11 +97,11 @@ class Scheme(ABC):
         checks.refuse("conditional_ancestors", "Multinomial, Systematic or Killing", type(self).__name__)
 
 
-def weighted_anew(picked: W, log_weights: jax.Array, drawn_by: jax.Array, ancestors: jax.Array) -> W:
-    """Multiply the weights of picked particles by what the weights of their ancestors exceed those that they were drawn by."""
+def weighted_anew(chosen: W, log_weights: jax.Array, drawn_by: jax.Array, ancestors: jax.Array) -> W:
+    """Multiply the weights of resampled particles by what the weights of their ancestors exceed those that they were drawn by."""
     # a biased scheme may pick what has no weight: it gets none
     excess = jnp.where(drawn_by[ancestors] > -jnp.inf, (log_weights - drawn_by)[ancestors], -jnp.inf)
-    return replace(picked, log_weights=picked.log_weights + excess)
+    return replace(chosen, log_weights=chosen.log_weights + excess)
 
 
 class Boundaries(NamedTuple):
@@ -144,7 +144,13 @@ def ancestors_from_ends(ends: jax.Array, n: int, last: jax.Array) -> jax.Array:
 
 @record
 class Systematic(Scheme):
-    """One uniform number for all: n equally spaced points; each count is within one of n w (Kitagawa 1996)."""
+    """One uniform number for all: n equally spaced points; each count is within one of n w (Kitagawa 1996).
+
+    Source: Kitagawa 1996, Monte Carlo filter and smoother for non-Gaussian nonlinear state space models.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.Systematic())
+    """
 
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
         """Draw n ancestors; see `Scheme`."""
@@ -170,7 +176,13 @@ class Systematic(Scheme):
 
 @record
 class Stratified(Scheme):
-    """One uniform number in each of n equal strata (Kitagawa 1996)."""
+    """One uniform number in each of n equal strata (Kitagawa 1996).
+
+    Source: Kitagawa 1996, Monte Carlo filter and smoother for non-Gaussian nonlinear state space models.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.Stratified())
+    """
 
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
         """Draw n ancestors; see `Scheme`."""
@@ -184,7 +196,13 @@ class Stratified(Scheme):
 
 @record
 class Multinomial(Scheme):
-    """Independent draws; the simplest and the noisiest. It searches, hence is slower than the others."""
+    """Independent draws; the simplest and the noisiest. It searches, hence is slower than the others.
+
+    Source: Gordon, Salmond, Smith 1993, Novel approach to nonlinear/non-Gaussian Bayesian state estimation.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.Multinomial())
+    """
 
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
         """Draw n ancestors; see `Scheme`."""
@@ -200,7 +218,13 @@ class Multinomial(Scheme):
 
 @record
 class Residual(Scheme):
-    """The whole part of n w for certain, the rest by independent draws (Liu, Chen 1998). It searches, as `Multinomial` does."""
+    """The whole part of n w for certain, the rest by independent draws (Liu, Chen 1998). It searches, as `Multinomial` does.
+
+    Source: Liu, Chen 1998, Sequential Monte Carlo methods for dynamic systems.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.Residual())
+    """
 
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
         """Draw n ancestors; see `Scheme`."""
@@ -217,6 +241,11 @@ class SSP(Scheme):
 
     Hence it is known to converge, and its variance is at most that of `Multinomial` (Gerber, Chopin, Whiteley 2019). Fractions of n w meet
     in pairs, one pair after the other: on many particles it is much slower than the others.
+
+    Source: Gerber, Chopin, Whiteley 2019, Negative association, ordering and convergence of resampling methods.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.SSP())
     """
 
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
@@ -225,28 +254,28 @@ class SSP(Scheme):
         expected = weights * (n / jnp.sum(weights))
         certain = jnp.floor(expected).astype(jnp.int32)
         size = weights.shape[0]
-        chances = random.uniform(key, (size,), weights.dtype)
+        uniforms = random.uniform(key, (size,), weights.dtype)
 
         def meet(held: tuple[jax.Array, jax.Array], other: tuple[jax.Array, ...]) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
             """Bring one of two fractions to 0, or to 1 where they exceed it; the other holds what is left and meets the next."""
-            (index, p), (challenger, q, chance) = held, other
+            (index, p), (challenger, q, uniform) = held, other
             over = p + q > 1
-            stays = jnp.where(over, chance * (2 - p - q) >= 1 - q, chance * (p + q) < p)
+            stays = jnp.where(over, uniform * (2 - p - q) >= 1 - q, uniform * (p + q) < p)
             done = jnp.where(stays, challenger, index)
             left = jnp.where(over, p + q - 1, p + q)
             return (jnp.where(stays, index, challenger), left), jnp.where(over, done, size)
 
         fractions = expected - certain
         start = (jnp.int32(0), fractions[0])
-        (last, _), raised = jax.lax.scan(meet, start, (jnp.arange(1, size, dtype=jnp.int32), fractions[1:], chances[1:]))
+        (last, _), raised = jax.lax.scan(meet, start, (jnp.arange(1, size, dtype=jnp.int32), fractions[1:], uniforms[1:]))
         counts = certain.at[raised].add(1, mode="drop")
         # what rounding leaves of the last fraction is whole: it goes where the number of children asks for
         counts = counts.at[last].add(jnp.maximum(n - jnp.sum(counts), 0))
         return ancestors_from_ends(jnp.cumsum(counts), n, last_positive(weights))
 
 
-def _independent_counts(key: jax.Array, amounts: jax.Array, n: int, draws: jax.Array) -> jax.Array:
-    """Count how often each index comes up in `draws` (at most n) independent draws in proportion to the amounts."""
-    chosen = pick(amounts, random.uniform(key, (n,), amounts.dtype))
+def _independent_counts(key: jax.Array, weights: jax.Array, n: int, draws: jax.Array) -> jax.Array:
+    """Count how often each index comes up in `draws` (at most n) independent draws in proportion to weights."""
+    chosen = pick(weights, random.uniform(key, (n,), weights.dtype))
     used = jnp.arange(n) < draws
-    return jnp.zeros(amounts.shape, jnp.int32).at[chosen].add(used.astype(jnp.int32))
+    return jnp.zeros(weights.shape, jnp.int32).at[chosen].add(used.astype(jnp.int32))

@@ -14,7 +14,13 @@ from motes.resampling.schemes import Scheme
 
 @record
 class Killing(Scheme):
-    """Particle i stays with probability w_i / max w, else its place is given to a draw by weight (Del Moral 2004). Unbiased."""
+    """Particle i stays with probability w_i / max w, else its place is given to a draw by weight (Del Moral 2004). Unbiased.
+
+    Source: Del Moral 2004, Feynman-Kac Formulae: Genealogical and Interacting Particle Systems with Applications.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.Killing())
+    """
 
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
         """Draw n ancestors; see `Scheme`."""
@@ -43,6 +49,11 @@ class MetropolisResampling(Scheme):
     Biased towards particles that were there: the law of a child's ancestor is within (1 - mean w / max w)^steps of the weights in total
     variation. A likelihood estimate is not unbiased with it. A chain that has met nothing with any weight is drawn by weight, sum or not.
 
+    Source: Murray, Lee, Jacob 2016, Parallel resampling in the particle filter.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.MetropolisResampling())
+
     Attributes:
         steps: length of the chains.
     """
@@ -58,9 +69,9 @@ class MetropolisResampling(Scheme):
         weights = jnp.exp(jax.lax.stop_gradient(log_weights))
 
         def advance(step: jax.Array, at: jax.Array) -> jax.Array:
-            other, chance = _offers(random.step_key(random.child(key, 0), step), weights, n)
+            other, uniform = _offers(random.step_key(random.child(key, 0), step), weights, n)
             # what has no weight may be left for anything
-            moves = (chance * weights[at] < weights[other]) | (weights[at] == 0)
+            moves = (uniform * weights[at] < weights[other]) | (weights[at] == 0)
             return jnp.where(moves, other, at)
 
         at = jax.lax.fori_loop(0, self.steps, advance, _starts(random.child(key, 1), weights, n))
@@ -74,6 +85,11 @@ class RejectionResampling(Scheme):
 
     Unbiased, and without a sum over all particles but for the largest weight: it takes max w / mean w tries on average. Who has not taken
     any after `trials` is drawn by weight, sum or not, so that the bound costs time at worst, never a bias.
+
+    Source: Murray, Lee, Jacob 2016, Parallel resampling in the particle filter.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.RejectionResampling())
 
     Attributes:
         trials: most tries of one child.
@@ -92,9 +108,9 @@ class RejectionResampling(Scheme):
 
         def advance(held: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
             trial, at, done = held
-            offer, chance = _offers(random.step_key(random.child(key, 0), trial), weights, n)
+            offer, uniform = _offers(random.step_key(random.child(key, 0), trial), weights, n)
             at = jnp.where(done | (trial == 0), at, offer)
-            return trial + 1, at, done | (chance * top < weights[at])
+            return trial + 1, at, done | (uniform * top < weights[at])
 
         start = (jnp.int32(0), _starts(random.child(key, 1), weights, n), jnp.zeros((n,), bool))
         _, at, done = jax.lax.while_loop(lambda held: (held[0] < self.trials) & ~jnp.all(held[2]), advance, start)

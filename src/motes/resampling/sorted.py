@@ -15,6 +15,11 @@ class Sorted(Scheme):
     The likelihoods of two runs that share most of their random numbers then differ little, which is what correlated pseudo-marginal chains
     live on.
 
+    Source: Deligiannidis, Doucet, Pitt 2018, The correlated pseudomarginal method.
+
+    Example:
+        >>> filter = mo.ParticleFilter(n=1000, scheme=mo.resampling.Sorted())
+
     Attributes:
         scheme: how ancestors are drawn; one whose indices come out in order, such as `Systematic`.
         by: index of the state.
@@ -41,8 +46,8 @@ class Sorted(Scheme):
             checks.refuse("Sorted by", f"a law of particles with a state {self.by}", given)
         order = jnp.argsort(particles[self.by])
         ancestors = order[self.scheme.ancestors(key, drawn_by[order], drawn_by.shape[0])].astype(jnp.int32)
-        picked: W = cloud.picked(ancestors)  # type: ignore[assignment]
-        return picked if first is None else weighted_anew(picked, cloud.log_weights, first, ancestors)
+        chosen: W = cloud.resampled(ancestors)  # type: ignore[assignment]
+        return chosen if first is None else weighted_anew(chosen, cloud.log_weights, first, ancestors)
 
     def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
         """Draw as the scheme does; there are no particles to sort by."""

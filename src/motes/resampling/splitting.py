@@ -64,14 +64,14 @@ class SplitKernels(Kernels):
         def split(key: jax.Array, law: Mixture) -> Mixture:
             center, P = law.parts.center, law.parts.covariance
             rows = linalg.solve_lower(factor, linalg.take(P, states))
-            shares, directions = linalg.eigen(linalg.solve_lower(factor, linalg.transpose(linalg.take(rows, states, axis=1))))
-            wide = shares > limit
-            amounts = jnp.where(wide, (1 - limit / jnp.where(wide, shares, 1)) / jnp.where(wide, shares, 1), 0)
+            values, directions = linalg.eigen(linalg.solve_lower(factor, linalg.transpose(linalg.take(rows, states, axis=1))))
+            wide = values > limit
+            removed = jnp.where(wide, (1 - limit / jnp.where(wide, values, 1)) / jnp.where(wide, values, 1), 0)
             noise = random.normal(key, (len(states), center.shape[-1]), center.dtype)
             for k in range(len(states)):
                 column = linalg.times_vector(linalg.transpose(rows), directions[:, k])
-                center = center + jnp.sqrt(amounts[k]) * noise[k] * column
-                P = linalg.rank_update(P, column, -amounts[k])
+                center = center + jnp.sqrt(removed[k]) * noise[k] * column
+                P = linalg.rank_update(P, column, -removed[k])
             return replace(law, parts=Gaussian(center, P))
 
         return split
@@ -102,8 +102,8 @@ class CommonKernel(Kernels):
         """Work out Pi and h; see `Kernels`. The states are not asked for: the rule is for all."""
         whole = law.cov()
         factor = linalg.cholesky(whole)
-        shares = linalg.solve_lower(factor, linalg.transpose(linalg.solve_lower(factor, law.parts.covariance)))
-        least = jnp.min(linalg.eigen(linalg.symmetric(shares))[0])
+        values = linalg.solve_lower(factor, linalg.transpose(linalg.solve_lower(factor, law.parts.covariance)))
+        least = jnp.min(linalg.eigen(linalg.symmetric(values))[0])
         cap, guard = (jnp.square(jnp.asarray(parameter, whole.dtype)) for parameter in (self.cap, self.guard))
         common = jnp.clip(least, 0, cap) * whole
         small = least >= guard

@@ -25,6 +25,15 @@ from motes.smoothers.parents import ExactParents, Move, Parents
 class BackwardSimulationSmoother(Smoother):
     """Backward simulation; it works with clouds. Without process noise in some direction it is no better than a genealogy.
 
+    Source: Godsill, Doucet, West 2004, Monte Carlo smoothing for nonlinear time series.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> history = mo.run(1, mo.ParticleFilter(n=500), model, ys, keep=mo.keep.laws)
+        >>> mo.smooth(2, mo.smoothers.BackwardSimulationSmoother(n=200), model, history).mean.shape
+        (50, 1)
+
     Attributes:
         n: number of trajectories.
         parents: how a state's parent is drawn: `ExactParents()`, `RejectedParents()` or `SteppedParents()`.
@@ -75,5 +84,5 @@ class BackwardSimulationSmoother(Smoother):
         _, earlier = jax.lax.scan(back, start, rows, reverse=True)
         paths = jnp.concatenate([earlier, start[0][None]])
         equal = logspace.uniform_weights(self.n, paths.dtype)
-        mean, cov, chances = jax.vmap(lambda X: summed_up(equal, X, model.modes))(paths)
-        return Smoothed(mean, cov, paths, equal, chances)
+        mean, cov, probabilities = jax.vmap(lambda X: summed_up(equal, X, model.modes))(paths)
+        return Smoothed(mean, cov, paths, equal, probabilities)

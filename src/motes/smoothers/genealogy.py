@@ -22,6 +22,15 @@ from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws, summe
 class GenealogySmoother(Smoother):
     """Genealogy smoother; it works with clouds and needs no density of the dynamics. With a lag it gives no paths.
 
+    Source: Kitagawa 1996, Monte Carlo filter and smoother for non-Gaussian nonlinear state space models.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> history = mo.run(1, mo.ParticleFilter(n=500), model, ys, keep=mo.keep.laws)
+        >>> mo.smooth(2, mo.smoothers.GenealogySmoother(lag=10), model, history).mean.shape
+        (50, 1)
+
     Attributes:
         lag: number of steps beyond its own whose measurements count for a state; None for all.
     """
@@ -64,8 +73,8 @@ def _followed(clouds: Cloud, modes: int) -> Smoothed:
 
     everyone = jnp.arange(weights.shape[0], dtype=jnp.int32)
     _, paths = jax.lax.scan(back, everyone, (clouds.particles, clouds.ancestors), reverse=True)
-    mean, cov, chances = jax.vmap(lambda X: summed_up(weights, X, modes))(paths)
-    return Smoothed(mean, cov, paths, weights, chances)
+    mean, cov, probabilities = jax.vmap(lambda X: summed_up(weights, X, modes))(paths)
+    return Smoothed(mean, cov, paths, weights, probabilities)
 
 
 def _lagged(clouds: Cloud, lag: int, modes: int) -> Smoothed:
@@ -77,5 +86,5 @@ def _lagged(clouds: Cloud, lag: int, modes: int) -> Smoothed:
         own = jax.lax.fori_loop(0, late - t, lambda k, own: clouds.ancestors[late - k][own], everyone)
         return summed_up(clouds.log_weights[late], at_step(clouds.particles, t)[:, own], modes)
 
-    mean, cov, chances = jax.lax.map(moments, jnp.arange(count))
-    return Smoothed(mean, cov, mode_probabilities=chances)
+    mean, cov, probabilities = jax.lax.map(moments, jnp.arange(count))
+    return Smoothed(mean, cov, mode_probabilities=probabilities)

@@ -47,6 +47,15 @@ class MixtureSmoother(Smoother):
 
     It works with the laws of `JumpMarkovFilter` and `InteractingMultipleModel`, and with those of Gaussian sums and kernels, as one mode.
 
+    Source: Fong, Godsill, Doucet, West 2002, Monte Carlo smoothing with application to audio signal enhancement.
+
+    Example:
+        >>> model = mo.textbook.maneuvers()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> history = mo.run(1, mo.JumpMarkovFilter(n=20), model, ys, keep=mo.keep.laws)
+        >>> mo.smooth(2, mo.smoothers.MixtureSmoother(n=100), model, history).mean.shape
+        (50, 4)
+
     Attributes:
         n: number of trajectories.
         rule: how the Gaussians are taken through the dynamics, best by the rule of the filter (see `JumpMarkovFilter`).
@@ -85,24 +94,24 @@ class MixtureSmoother(Smoother):
         laws = _with_modes(history.law, model.count)
         last: ModeMixture = at_step(laws, -1)
         opening = random.step_key(key, steps.t[-1])
-        first = last.picked(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
+        first = last.resampled(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
         start = _Drawn(first.parts.sample(random.child(opening, random.NOISE), self.n), first.modes)
         equal = logspace.uniform_weights(self.n, start.states.dtype)
 
         def back(after: _Drawn, row: Any) -> tuple[_Drawn, tuple[jax.Array, ...]]:
             law, u, t, t_after = row
             own = random.step_key(key, t)
-            informed, modes, chances = self._informed(random.child(own, random.RESAMPLE), model, law, after, u, t_after)
+            informed, modes, probabilities = self._informed(random.child(own, random.RESAMPLE), model, law, after, u, t_after)
             before = _Drawn(informed.sample(random.child(own, random.NOISE), self.n), modes)
             whole = Mixture(informed, equal).gathered(model.circular)
-            return before, (whole.mean(), whole.cov(), before.states, modes, chances)
+            return before, (whole.mean(), whole.cov(), before.states, modes, probabilities)
 
         rows = *jax.tree.map(lambda leaf: leaf[:-1], (laws,)), jax.tree.map(lambda leaf: leaf[1:], steps.u), steps.t[:-1], steps.t[1:]
         _, earlier = jax.lax.scan(back, start, rows, reverse=True)
         ending = (last.mean(), last.cov(), *start, last.mode_probabilities())
-        mean, cov, paths, modes, chances = (jnp.concatenate([some, one[None]]) for some, one in zip(earlier, ending, strict=True))
+        mean, cov, paths, modes, probabilities = (jnp.concatenate([some, one[None]]) for some, one in zip(earlier, ending, strict=True))
         found = Smoothed(mean, cov, paths, equal)
-        return replace(found, mode_probabilities=chances, modes=modes) if isinstance(history.state, ModeMixture) else found
+        return replace(found, mode_probabilities=probabilities, modes=modes) if isinstance(history.state, ModeMixture) else found
 
     def _informed(
         self, key: jax.Array, model: JumpMarkovModel, law: ModeMixture, after: _Drawn, u: Any, t: Any
@@ -115,14 +124,14 @@ class MixtureSmoother(Smoother):
         """
         moves = [self.rule.linearized(part.dynamics, law.parts, u, t) for part in model.models]
         covs = [move.over(law.parts).covariance for move in moves]
-        chances = model.log_transition(u, t)[law.modes]
+        log_transition = model.log_transition(u, t)[law.modes]
         size = jnp.max(jnp.abs(jnp.concatenate([after.states, *(move.prediction for move in moves)], axis=1)), axis=1)
 
         def weights(state: jax.Array, mode: jax.Array, trusted: float | None) -> jax.Array:
             each = [log_normal(wrap(state[:, None] - move.prediction, model.circular), cov, None, size, noiseless(move.noise), trusted)
                     for move, cov in zip(moves, covs, strict=True)]  # fmt: skip
             possible = law.log_weights > -jnp.inf
-            return jnp.where(possible, law.log_weights + chances[:, mode] + of_mode(mode, each), -jnp.inf)
+            return jnp.where(possible, law.log_weights + log_transition[:, mode] + of_mode(mode, each), -jnp.inf)
 
         def parent(row: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array, jax.Array]:
             state, mode, point = row
@@ -131,11 +140,12 @@ class MixtureSmoother(Smoother):
             return pick(jnp.exp(own), point), jnp.isfinite(total), replace(law, log_weights=own).mode_probabilities()
 
         points = random.uniform(key, (self.n,), size.dtype)
-        parents, known, shares = pairs.against_all(parent, (after.states.T, after.modes, points), model.count * law.log_weights.shape[0])
-        chosen = law.picked(parents)
+        rows = (after.states.T, after.modes, points)
+        parents, known, probabilities = pairs.against_all(parent, rows, model.count * law.log_weights.shape[0])
+        chosen = law.resampled(parents)
         move = Linearized(*(of_mode(after.modes, [leaf[..., parents] for leaf in leaves]) for leaves in zip(*moves, strict=True)))
         done = chosen.parts.corrected(wrap(after.states - move.prediction, model.circular), move.slope, move.noise).law
-        return Gaussian(jnp.where(known, done.center, jnp.nan), done.covariance), chosen.modes, jnp.mean(shares, axis=0)
+        return Gaussian(jnp.where(known, done.center, jnp.nan), done.covariance), chosen.modes, jnp.mean(probabilities, axis=0)
 
 
 def _with_modes(laws: Mixture, count: int) -> ModeMixture:

@@ -143,7 +143,7 @@ class RejectedParents(Parents):
     def chosen(self, key: jax.Array, cloud: Cloud, move: Move, after: jax.Array, ancestors: jax.Array) -> jax.Array:
         """See `Parents`."""
         m = after.shape[-1]
-        most = jnp.max(move.dynamics.ceiling(after[:, 0], cloud.particles, move.u, move.t))
+        most = jnp.max(move.dynamics.max_log_prob(after[:, 0], cloud.particles, move.u, move.t))
 
         def go_on(held: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
             trial, _, found = held
@@ -153,8 +153,8 @@ class RejectedParents(Parents):
             trial, parents, found = held
             own = random.step_key(key, trial)
             proposed = draw(random.child(own, random.RESAMPLE), cloud.log_weights, m)
-            chance = jnp.exp(move.log_prob(after, cloud.particles[:, proposed]) - most)
-            accepted = random.uniform(random.child(own, random.NOISE), (m,), after.dtype) < chance
+            probability = jnp.exp(move.log_prob(after, cloud.particles[:, proposed]) - most)
+            accepted = random.uniform(random.child(own, random.NOISE), (m,), after.dtype) < probability
             return trial + 1, jnp.where(found, parents, proposed), found | accepted
 
         start = (jnp.int32(0), jnp.zeros((m,), jnp.int32), jnp.zeros((m,), bool))

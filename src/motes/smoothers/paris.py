@@ -78,6 +78,15 @@ class PaRIS(Filter):
 
     Keep them of each step with `keep=lambda law: {"mean": law.mean(), "total": law.total()}`.
 
+    Source: Olsson, Westerborn 2017, Efficient particle-based online smoothing in general hidden Markov models: the PaRIS algorithm.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> sums = mo.smoothers.PaRIS(n=200, function=lambda before, after, u, t: before * after, size=1)
+        >>> mo.run(1, sums, model, ys).state.total().shape
+        (1,)
+
     Attributes:
         n: number of particles.
         function: `(before, after, u, t)` of two states `(x,)`, inputs and index of the later step; gives what a move adds, `(d,)`.

@@ -29,6 +29,16 @@ class RaoBlackwellizedSmoother(Smoother):
 
     Along directions in which neither process noise nor the Gaussians leave anything open a trajectory follows the genealogy.
 
+    Source: Fong, Godsill, Doucet, West 2002, Monte Carlo smoothing with application to audio signal enhancement; Lindsten, Schon 2013,
+    Backward simulation methods for Monte Carlo statistical inference.
+
+    Example:
+        >>> model = mo.textbook.radar_tracking()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> history = mo.run(1, mo.MarginalizedParticleFilter(n=200), model, ys, keep=mo.keep.laws)
+        >>> mo.smooth(2, mo.smoothers.RaoBlackwellizedSmoother(n=100), model, history).mean.shape
+        (50, 6)
+
     Attributes:
         n: number of trajectories.
     """
@@ -51,7 +61,7 @@ class RaoBlackwellizedSmoother(Smoother):
         clouds: MarginalCloud = history.law
         last: MarginalCloud = at_step(clouds, -1)
         opening = random.step_key(key, steps.t[-1])
-        chosen = last.picked(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
+        chosen = last.resampled(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
 
         def back(held: tuple[jax.Array, jax.Array], row: Any) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, MarginalCloud]]:
             (after, ancestors), (cloud, u, t, t_after) = held, row
@@ -91,7 +101,7 @@ class RaoBlackwellizedSmoother(Smoother):
             return jnp.where(jnp.isfinite(total), pick(jnp.exp(weights), point), ancestor)
 
         parents = pairs.against_all(parent, (after.T, *held[1:], points), cloud.log_weights.shape[0])
-        chosen = cloud.picked(parents)
+        chosen = cloud.resampled(parents)
         f, A, Q, prediction = (leaf[..., parents] if batched else leaf for leaf, batched in (
             (f, True), (A, A.ndim == 3), (Q, Q.ndim == 3), (expected.center, True)))  # fmt: skip
         informed = chosen.kalman.corrected(wrap(after - prediction, model.places), A, Q).law

@@ -40,6 +40,15 @@ _ROUNDING = 4.0
 class RauchTungStriebelSmoother(Smoother):
     """Rauch-Tung-Striebel smoother; it works with the moments of a filter whose state is a `Gaussian` or a `FactoredGaussian`.
 
+    Source: Rauch, Tung, Striebel 1965, Maximum likelihood estimates of linear dynamic systems.
+
+    Example:
+        >>> model = mo.textbook.constant_velocity()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> history = mo.run(1, mo.KalmanFilter(), model, ys)
+        >>> mo.smooth(2, mo.smoothers.RauchTungStriebelSmoother(), model, history).mean.shape
+        (50, 4)
+
     Attributes:
         rule: how a filtered Gaussian is taken through the dynamics, best by the rule of the filter: `mo.gaussian.Taylor()` (the Kalman
             and the extended smoother), or sigma points such as `mo.gaussian.Cubature()`.
@@ -86,8 +95,8 @@ class RauchTungStriebelSmoother(Smoother):
             pivot = jnp.diag(predicted)
             silent = (1 - jnp.sum(ratio**2, axis=1)) * pivot**2 <= _ROUNDING * eps * rounding
             pull = jnp.where(silent & (pivot**2 <= eps * size_of), 0, pull)
-            told = linalg.product(across, jnp.where(silent[:, None], 0, ratio))
-            spread = jnp.concatenate([told, jnp.where(silent, across, 0)], axis=1)
+            given = linalg.product(across, jnp.where(silent[:, None], 0, ratio))
+            spread = jnp.concatenate([given, jnp.where(silent, across, 0)], axis=1)
             now = FactoredGaussian(mean + linalg.times_vector(across, pull), linalg.cholesky_update(left, spread))
             return now, (now.center, now.cov())
 

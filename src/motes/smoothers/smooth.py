@@ -1,6 +1,5 @@
 """One verb for all smoothers."""
 
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +7,7 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.record import replace
-from motes.core.types import Inputs, KeyLike
+from motes.core.types import Inputs, KeyLike, Measurements
 from motes.filters.data import checked_data
 from motes.filters.history import History
 from motes.models.canonical import canonical, one_of
@@ -20,7 +19,7 @@ from motes.tracing.identity import Beside
 
 
 def smooth(
-    key: KeyLike, smoother: Smoother, model: Any, history: History, ys: jax.Array | None = None, inputs: Inputs = None
+    key: KeyLike, smoother: Smoother, model: Model, history: History, ys: Measurements | None = None, inputs: Inputs = None
 ) -> Smoothed:
     """Smooth a run: the law of each state given the measurements of all steps.
 
@@ -72,7 +71,7 @@ def _ask_found(smoother: Smoother, mean: jax.Array, history: History) -> None:
 
 @jitted
 def _smooth(
-    key: jax.Array, smoother: Smoother, model: Any, history: History, ys: jax.Array | None, inputs: Inputs, beside: Beside
+    key: jax.Array, smoother: Smoother, model: Model, history: History, ys: Measurements | None, inputs: Inputs, beside: Beside
 ) -> Smoothed:
     model, drive = model.independent()
     inputs = drive.over(inputs, ys)

@@ -31,6 +31,15 @@ from motes.smoothers.parents import Move
 class TwoFilterSmoother(Smoother):
     """Two-filter smoother; it works with clouds, looks at the measurements, and takes some n^2 densities per step.
 
+    Source: Briers, Doucet, Maskell 2010, Smoothing algorithms for state-space models.
+
+    Example:
+        >>> model = mo.textbook.growth()
+        >>> xs, ys = mo.simulate(0, model, 50)
+        >>> history = mo.run(1, mo.ParticleFilter(n=200), model, ys, keep=mo.keep.laws)
+        >>> mo.smooth(2, mo.smoothers.TwoFilterSmoother(n=200), model, history, ys).mean.shape
+        (50, 1)
+
     Attributes:
         n: number of points of the second filter.
         inflation: factor on the filtered covariance for the law g from which the points come, at least 1.

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from motes.core import told
+from motes.core import user_functions
 from motes.core.checks import MotesError
 from motes.core.record import is_function
 from motes.tracing.internals import PROGRAMS, called, jitted_name, keeps_traces, parameters, without_constants
@@ -52,8 +52,8 @@ class Program:
         return self.function
 
     def __call__(self, *args: Any) -> Any:
-        """Call the function; see `told.called`."""
-        return told.called(self.role, self.function, *args)
+        """Call the function; see `user_functions.called`."""
+        return user_functions.called(self.role, self.function, *args)
 
     def __eq__(self, other: object) -> bool:
         """Compare by program."""
@@ -132,7 +132,7 @@ def _traced(function: Any, args: tuple[Any, ...], about: tuple[Any, str], readin
     def program() -> tuple[Any, Any]:
         try:
             # a function of its own: JAX would give the trace that it keeps of the user's
-            return jax.make_jaxpr(lambda *args: told.called(role, function, *args), return_shape=True)(*args)
+            return jax.make_jaxpr(lambda *args: user_functions.called(role, function, *args), return_shape=True)(*args)
         except MotesError as reason:
             # without what JAX adds about its frames
             raise type(reason)(str(reason)) from None

@@ -162,7 +162,7 @@ def compare(flights: Sequence[Flight], rivals: dict[str, Rival], seed: int = 0, 
     least = kalman_at_truth(flights[0].model, jnp.zeros((truth.north.shape[0], flights[0].model.size)), truth)
     bound, velocity_bound = (np.asarray(least.cov, np.float64)[:, places[:, None], places] for places in _horizontal(least.names))
     flown = {name: fly_all(flights, rival, seed, name, progress) for name, rival in rivals.items()}
-    return Comparison(Table(COLUMNS, tuple(judged(name, one, bound) for name, one in flown.items())), flown, bound, velocity_bound)
+    return Comparison(Table(COLUMNS, tuple(row_of(name, one, bound) for name, one in flown.items())), flown, bound, velocity_bound)
 
 
 def _horizontal(names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +170,7 @@ def _horizontal(names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(places_of(names)[:2]), np.array([names.index("vN"), names.index("vE")])
 
 
-def judged(name: str, flown: Flown, bound: np.ndarray) -> tuple[str | int | float | None, ...]:
+def row_of(name: str, flown: Flown, bound: np.ndarray) -> tuple[str | int | float | None, ...]:
     """Return a row of the table; errors are empty where all runs are lost.
 
     Args:

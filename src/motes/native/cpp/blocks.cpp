@@ -34,12 +34,12 @@ static void ancestors(const Frame& frame, const Team& team) {
 }
 MOTES_KERNEL(motes_ancestors, ancestors)
 
-// args: log likelihoods `(n)`, log weights `(n)`, ceilings of the likelihoods `(n)`; rets: log weights `(n)`, judgement `(6)`
+// args: log likelihoods `(n)`, log weights `(n)`, the largest that each could be `(n)`; rets: log weights `(n)`, judgement `(6)`
 static void weigh(const Frame& frame, const Team& team) {
   weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t) {
     const float* likelihood = batch.of<const float>(frame.arg(0), run);
-    const float* ceiling = batch.of<const float>(frame.arg(2), run);
-    return [=](int64_t b, float*, float*) { return Seen{likelihood + b * BLOCK, ceiling + b * BLOCK}; };
+    const float* maximum = batch.of<const float>(frame.arg(2), run);
+    return [=](int64_t b, float*, float*) { return Seen{likelihood + b * BLOCK, maximum + b * BLOCK}; };
   });
 }
 MOTES_KERNEL(motes_weigh, weigh)

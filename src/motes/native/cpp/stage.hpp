@@ -52,11 +52,11 @@ static void weigh(const Frame& frame, const Team& team) {
   weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t n) {
     const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
     Rows<Model> rows = rows_of<Model>(frame, batch, run, n, 2);
-    return [=](int64_t b, float* likelihood, float* ceiling) {
+    return [=](int64_t b, float* likelihood, float* maximum) {
       alignas(64) float noise[Model::NOISE + 1][BLOCK];
       Model::draw(parameters, (uint32_t)(b * BLOCK), noise);
-      Model::lanes(parameters, rows, nullptr, b * BLOCK, length_of(b, n), noise, likelihood, ceiling);
-      return Seen{likelihood, ceiling};
+      Model::lanes(parameters, rows, nullptr, b * BLOCK, length_of(b, n), noise, likelihood, maximum);
+      return Seen{likelihood, maximum};
     };
   });
 }

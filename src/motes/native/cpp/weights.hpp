@@ -14,30 +14,30 @@ static inline int length_of(int64_t block, int64_t n) { return (int)(n - block *
 
 // What one block of particles adds to the judgement of a step.
 struct Tally {
-  float top, highest, lowest, gap;  // gap: smallest distance of a log likelihood from its ceiling
+  float top, highest, lowest, shortfall;  // shortfall: smallest distance of a log likelihood from the largest it could be
   double sum, squares;              // of weights relative to top
   int64_t invalid;
 };
 
 // Adds likelihoods to log weights in place of `joint`, for one block.
-static inline Tally tally(const float* __restrict log_weights, const float* __restrict likelihood, const float* __restrict ceiling,
+static inline Tally tally(const float* __restrict log_weights, const float* __restrict likelihood, const float* __restrict maximum,
                           float* __restrict joint, int m) {
-  float top = -INF, highest = -INF, lowest = INF, gap = INF;
+  float top = -INF, highest = -INF, lowest = INF, shortfall = INF;
   int invalid = 0;
-#pragma omp simd reduction(max : top, highest) reduction(min : lowest, gap) reduction(+ : invalid)
+#pragma omp simd reduction(max : top, highest) reduction(min : lowest, shortfall) reduction(+ : invalid)
   for (int i = 0; i < m; i++) {
     float given = likelihood[i];
     bool bad = given != given;
     float known = bad ? -INF : given;
     float sum = log_weights[i] + known;
-    float distance = ceiling[i] - known;
-    distance = ceiling[i] < INF && ceiling[i] > -INF ? distance : 0.f;
+    float distance = maximum[i] - known;
+    distance = maximum[i] < INF && maximum[i] > -INF ? distance : 0.f;
     invalid += bad;
     joint[i] = sum;
     top = sum > top ? sum : top;
     highest = known > highest ? known : highest;
     lowest = known < lowest ? known : lowest;
-    gap = distance < gap ? distance : gap;
+    shortfall = distance < shortfall ? distance : shortfall;
   }
   double sum = 0, squares = 0;
   if (top > -INF && top < INF) {
@@ -49,10 +49,10 @@ static inline Tally tally(const float* __restrict log_weights, const float* __re
     }
     sum = part, squares = square;
   }
-  return {top, highest, lowest, gap, sum, squares, invalid};
+  return {top, highest, lowest, shortfall, sum, squares, invalid};
 }
 
-// Makes the judgement: log evidence, effective sample size, invalid, lowest, highest, gap. Returns the log of the sum of weights and top.
+// Makes the judgement (log evidence, effective sample size, invalid, lowest, highest, shortfall); gives the log of the sum of weights and top.
 struct Judgement { float top, log_sum; };
 
 static inline Judgement judge(const Tally* tallies, int64_t blocks, float* __restrict info) {
@@ -62,7 +62,7 @@ static inline Judgement judge(const Tally* tallies, int64_t blocks, float* __res
     if (!(all.top >= one.top)) all.top = one.top;
     all.highest = one.highest > all.highest ? one.highest : all.highest;
     all.lowest = one.lowest < all.lowest ? one.lowest : all.lowest;
-    all.gap = one.gap < all.gap ? one.gap : all.gap;
+    all.shortfall = one.shortfall < all.shortfall ? one.shortfall : all.shortfall;
     all.invalid += one.invalid;
   }
   float anchor = all.top > -INF && all.top < INF ? all.top : 0.f;
@@ -79,7 +79,7 @@ static inline Judgement judge(const Tally* tallies, int64_t blocks, float* __res
   info[2] = (float)all.invalid;
   info[3] = all.lowest;
   info[4] = all.highest;
-  info[5] = all.gap;
+  info[5] = all.shortfall;
   return {anchor, (float)log_sum};
 }
 
@@ -181,11 +181,11 @@ static void for_each_run(const Team& team, const Batch& batch, int64_t n, Body b
   }
 }
 
-struct Seen { const float *likelihood, *ceiling; };
+struct Seen { const float *likelihood, *maximum; };
 
 // The whole of weighing. args: anything, log weights `(n)`, ...; rets: log weights `(n)`, judgement `(6)`, ...
-// `prepare(batch, run, n)` gives a function of (block, likelihood, ceiling) that says where the log likelihoods of a block and their
-// ceilings stand; it may fill the two arrays that it is given.
+// `prepare(batch, run, n)` gives a function of (block, likelihood, maximum) that says where the log likelihoods of a block and the
+// largest that they could be stand; it may fill the two arrays that it is given.
 template <class Prepare>
 static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare) {
   Operand out = frame.ret(0);
@@ -198,9 +198,9 @@ static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare) {
     Scratch memory(sizeof(Tally) * blocks);
     Tally* tallies = memory.as<Tally>();
     own.each(blocks, ALONE, [=](int64_t b) {
-      alignas(64) float likelihood[BLOCK], ceiling[BLOCK];
-      Seen seen = see(b, likelihood, ceiling);
-      tallies[b] = tally(before + b * BLOCK, seen.likelihood, seen.ceiling, joint + b * BLOCK, length_of(b, n));
+      alignas(64) float likelihood[BLOCK], maximum[BLOCK];
+      Seen seen = see(b, likelihood, maximum);
+      tallies[b] = tally(before + b * BLOCK, seen.likelihood, seen.maximum, joint + b * BLOCK, length_of(b, n));
     });
     Judgement found = judge(tallies, blocks, batch.of<float>(frame.ret(1), run));
     own.each(blocks, 4 * ALONE, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); });

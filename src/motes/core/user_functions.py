@@ -45,8 +45,8 @@ def _message(role: str, function: Any, args: tuple[Any, ...], reason: Exception)
     where, source = _frame(reason.__traceback__) or (_source_of(function), "")
     first = (str(reason).strip().splitlines() or [""])[0]
     shown = f' ("{source[:LONGEST_LINE]}")' if source else ""
-    told = f"{role}: expected a function that JAX can trace, got {type(reason).__name__} at {where}{shown}: {first[:120]}"
-    return f"{told} {_cure(reason, source, args)}".rstrip()
+    message = f"{role}: expected a function that JAX can trace, got {type(reason).__name__} at {where}{shown}: {first[:120]}"
+    return f"{message} {_cure(reason, source, args)}".rstrip()
 
 
 def _does_not_take(function: Any, args: tuple[Any, ...]) -> str:
