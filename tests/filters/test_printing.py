@@ -39,9 +39,23 @@ def test_arrays_are_short_wherever_they_lie(histories):
 
 
 def test_what_prints_shows_in_a_notebook_too(histories):
-    shown = [histories["kalman"], mo.diagnose(histories["kalman"]), mo.structure(STEADY)]
-    assert all(f"\n{one}\n" in one._repr_markdown_() for one in shown)
+    """As tables where they are tables, and as a block of text otherwise."""
+    pilot = mo.planning.Plan(mo.KalmanFilter(), 1e-3, mo.io.Table(("filter", "ms"), (("a|b", 1.0),)), 2e-3)
+    chains = mo.sample(0, mo.mcmc.RandomWalkMetropolis(1.0), lambda x: -0.5 * x @ x, np.zeros(1), draws=20, burn_in=0)
+    shown = {
+        "log likelihood": histories["particles"], "what to try": mo.Diagnosis((mo.Finding("a", "b", "c", True),)), "Kalman": mo.structure(STEADY),
+        r"a\|b": pilot, "accepted": chains,
+    }  # fmt: skip
+    for words, one in shown.items():
+        lines = [line for line in one._repr_markdown_().splitlines() if line.startswith("|")]
+        assert words in one._repr_markdown_() and len({line.replace(r"\|", "").count("|") for line in lines[:3]}) == 1, words
+    explained = mo.explain(mo.KalmanFilter(), STEADY)
+    assert f"\n{explained}\n" in explained._repr_markdown_()
     assert not hasattr(STEADY, "_repr_markdown_")
+
+
+def test_pictures_show_in_a_notebook(histories):
+    assert mo.plot(histories["kalman"])._repr_png_().startswith(b"\x89PNG")
 
 
 def test_many_histories_at_once_print(histories):

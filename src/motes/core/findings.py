@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+from motes.core import markdown
 from motes.core.record import record, static
 
 
@@ -53,3 +54,7 @@ class Diagnosis:
     def __str__(self) -> str:
         """Print one finding per line."""
         return "\n".join(map(str, self.findings)) or "Nothing wrong was found."
+
+    def _repr_markdown_(self) -> str:
+        rows = [("warning" if one.serious else "note", one.name, one.text, one.advice) for one in self.findings]
+        return markdown.table(("", "finding", "what was seen", "what to try"), rows) if rows else str(self)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks
+from motes.core import checks, markdown
 from motes.core.logspace import RunningSum
 from motes.core.record import record, replace, static
 from motes.filters.info import Info
@@ -81,20 +81,27 @@ class History:
 
     def __str__(self) -> str:
         """Print what was run and how it went, one line each."""
+        lines = [f"{what:<16}{text}" for what, text in self._facts()]
+        return "\n".join(lines) or repr(self)
+
+    def _repr_markdown_(self) -> str:
+        return markdown.table(("", "run"), self._facts()) if self._facts() else repr(self)
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return what was run and how it went, each with its name; nothing of many runs at once, or inside of compiled code."""
         if np.ndim(self.info.ess) != 1 or not checks.is_concrete(self.info.ess):
-            return repr(self)
+            return []
         ess, first = np.asarray(self.info.ess), int(self.start)
-        lines = [f"filter          {self.label}", f"steps           {first} to {first + ess.size - 1}"]
+        facts = [("filter", self.label), ("steps", f"{first} to {first + ess.size - 1}")]
         if "mean" in self.kept and "cov" in self.kept:
             spread = np.sqrt(np.diagonal(np.asarray(self.cov[-1])))
             each = zip(self.names, np.asarray(self.mean[-1]), spread, strict=True)
-            lines.append(f"at the end      {', '.join(f'{name} {value:.4g} +- {deviation:.2g}' for name, value, deviation in each)}")
+            facts.append(("at the end", ", ".join(f"{name} {value:.4g} +- {deviation:.2g}" for name, value, deviation in each)))
         if self.has_evidence:
-            lines.append(f"log likelihood  {float(self.log_likelihood):.6g}")
+            facts.append(("log likelihood", f"{float(self.log_likelihood):.6g}"))
         if self.particles:
-            lines.append(f"effective size  {np.median(ess):.4g} of {self.particles} (median), {ess.min():.3g} at the least")
-        lines.append(f"kept            {', '.join(self.kept) or 'nothing'}; engine {self.engine}")
-        return "\n".join(lines)
+            facts.append(("effective size", f"{np.median(ess):.4g} of {self.particles} (median), {ess.min():.3g} at the least"))
+        return [*facts, ("kept", f"{', '.join(self.kept) or 'nothing'}; engine {self.engine}")]
 
     def _kept(self, name: str) -> Any:
         if name not in self.kept:

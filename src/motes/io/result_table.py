@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from motes.core import checks
+from motes.core import checks, markdown
 from motes.core.record import record, static
 from motes.io.archive import whole_file
 
@@ -61,9 +61,8 @@ class Table:
 
     def to_markdown(self) -> str:
         """Return the table in Markdown."""
-        rule = ["---:" if _is_number(self.rows, place) else "---" for place in range(len(self.columns))]
-        lines = [map(_markdown, self.columns), rule, *(map(_markdown, map(shown, row)) for row in self.rows)]
-        return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+        numbers = [_is_number(self.rows, place) for place in range(len(self.columns))]
+        return markdown.table(self.columns, [[shown(cell) for cell in row] for row in self.rows], numbers)
 
     def to_latex(self) -> str:
         """Return a LaTeX tabular environment (with the rules of the package booktabs)."""
@@ -106,10 +105,6 @@ def shown(cell: Cell) -> str:
 
 def _is_number(rows: tuple[tuple[Cell, ...], ...], place: int) -> bool:
     return not any(isinstance(row[place], str) for row in rows)
-
-
-def _markdown(text: str) -> str:
-    return "".join("&lt;" if c == "<" else "&amp;" if c == "&" else f"\\{c}" if c in r"\`*_{}[]|~" else c for c in text)
 
 
 _LATEX = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks
+from motes.core import checks, markdown
 from motes.core.findings import Diagnosis
 from motes.core.record import record, static
 from motes.io import archive
@@ -67,8 +67,14 @@ class Chains:
 
     def __str__(self) -> str:
         """Print the summary, the acceptance of each move and the verdict."""
-        rates = ", ".join(f"{move} {'-' if np.isnan(rate) else f'{rate:.0%}'}" for move, rate in self.acceptance.items())
-        return f"{self.summary()}\naccepted: {rates}\n{self.diagnose()}"
+        return f"{self.summary()}\naccepted: {', '.join(map(' '.join, self._rates()))}\n{self.diagnose()}"
+
+    def _repr_markdown_(self) -> str:
+        accepted = markdown.table(("move", "accepted"), self._rates())
+        return "\n".join([self.summary().to_markdown(), accepted, self.diagnose()._repr_markdown_()])
+
+    def _rates(self) -> list[tuple[str, str]]:
+        return [(move, "-" if np.isnan(rate) else f"{rate:.0%}") for move, rate in self.acceptance.items()]
 
     def to_datatree(self) -> Any:
         """Return an `xarray.DataTree` as ArviZ wants it (extra `results`): groups posterior and sample_stats."""

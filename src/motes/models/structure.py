@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from motes.core import markdown
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom
@@ -45,13 +46,17 @@ class Structure:
 
     def __str__(self) -> str:
         """Print as a table."""
-        why = dict(self.reasons)
         width = max(5, *(len(name) for name in self.names))
-        lines = [f"{'state':<{width + 2}}part      why"]
-        for i, name in enumerate(self.names):
-            part = "Kalman" if i in self.linear else "particle"
-            lines.append(f"{name:<{width + 2}}{part:<10}{why.get(name, 'conditionally linear-Gaussian')}")
+        lines = [f"{name:<{width + 2}}{part:<10}{why}" for name, part, why in [("state", "part", "why"), *self._rows()]]
         return "\n".join([*lines, f"covariance of the Kalman part: {self.covariance}"])
+
+    def _rows(self) -> list[tuple[str, str, str]]:
+        why = dict(self.reasons)
+        return [(name, "Kalman" if i in self.linear else "particle", why.get(name, "conditionally linear-Gaussian"))
+                for i, name in enumerate(self.names)]  # fmt: skip
+
+    def _repr_markdown_(self) -> str:
+        return f"{markdown.table(('state', 'part', 'why'), self._rows())}\ncovariance of the Kalman part: {self.covariance}\n"
 
 
 class Traced(NamedTuple):

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from motes.bounds.cramer_rao import posterior_cramer_rao
-from motes.core import checks
+from motes.core import checks, markdown
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.costs.calibration import Calibration, calibrate
@@ -81,10 +81,16 @@ class Plan:
 
     def __str__(self) -> str:
         """Print the table and the choice."""
-        lines = [str(self.table), f"choice      {self.choice!r}", f"predicted   {1e3 * self.seconds:.4g} ms a step"]
-        if self.measured is not None:
-            lines.append(f"measured    {1e3 * self.measured:.4g} ms a step ({100 * (self.measured / self.seconds - 1):+.0f} percent)")
-        return "\n".join(lines)
+        return "\n".join([str(self.table), *(f"{what:<12}{text}" for what, text in self._facts())])
+
+    def _repr_markdown_(self) -> str:
+        return f"{self.table.to_markdown()}\n{markdown.table(('', 'plan'), self._facts())}"
+
+    def _facts(self) -> list[tuple[str, str]]:
+        facts = [("choice", repr(self.choice)), ("predicted", f"{1e3 * self.seconds:.4g} ms a step")]
+        if self.measured is None:
+            return facts
+        return [*facts, ("measured", f"{1e3 * self.measured:.4g} ms a step ({100 * (self.measured / self.seconds - 1):+.0f} percent)")]
 
 
 def plan(

@@ -1,6 +1,8 @@
 """What all pictures share: figures without a window or global state, and colors that also color-blind readers tell apart."""
 
+import io
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 from motes.core.checks import need
@@ -13,14 +15,27 @@ WORDS = {"parse_math": False, "usetex": False}
 
 
 def new_figure(width: float, height: float) -> Any:
-    """Return an empty matplotlib `Figure` of so many inches, ready to be saved.
+    """Return an empty matplotlib `Figure` of so many inches, ready to be saved, which shows in a notebook.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    figure = need("matplotlib.figure", "results").Figure(figsize=(width, height), layout="constrained")
+    figure = _picture()(figsize=(width, height), layout="constrained")
     need("matplotlib.backends.backend_agg", "results").FigureCanvasAgg(figure)
     return figure
+
+
+@cache
+def _picture() -> Any:
+    """Return the class of our figures: notebooks show matplotlib's own only where pyplot was imported, which has a global state."""
+
+    class Picture(need("matplotlib.figure", "results").Figure):
+        def _repr_png_(self) -> bytes:
+            file = io.BytesIO()
+            self.savefig(file, format="png", dpi=100)
+            return file.getvalue()
+
+    return Picture
 
 
 def legend_below(figure: Any, axes: Any, columns: int) -> None:

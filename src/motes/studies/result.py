@@ -61,6 +61,9 @@ class StudyResult:
         """Print the table."""
         return str(self.table())
 
+    def _repr_markdown_(self) -> str:
+        return self.table().to_markdown()
+
     @classmethod
     def load(cls, store: str | Path) -> "StudyResult":
         """Read a store: of the filters of the study that used it last, the runs that all of them have, which is what can be compared.
