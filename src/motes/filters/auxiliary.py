@@ -106,10 +106,10 @@ class AuxiliaryParticleFilter(LookAheadFilter):
         return self.accept(state, after, info, y)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
-        """Resample by the scores where needed, then move by the proposal."""
+        """Score, resample by the scores where needed, then move by the proposal and weigh (steps 1 to 3)."""
         resample_key, noise_key = keys_of(key)
-        score = _finite_scores(self._moves.score(model, state.particles, y, u, t))
-        parents = resample(resample_key, self.scheme, self.policy, state, score)
+        log_score = _finite_scores(self._moves.score(model, state.particles, y, u, t))
+        parents = resample(resample_key, self.scheme, self.policy, state, log_score)
         after, info = guided(noise_key, self._moves, model, parents, y, u, t)
         info = with_innovation(info, unguided_innovation(noise_key, model, state, y, u, t))
         return Ahead(after, info, lambda: unguided(noise_key, model, resample(resample_key, self.scheme, self.policy, state), u, t))

@@ -102,15 +102,15 @@ class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
         return _fitted(model, weights, X), replace(info, ess=jnp.where(info.collapsed, self.n, info.ess))
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
-        """Draw particles, move them, keep their moments."""
+        """Draw particles, move them, keep their moments (step 1)."""
         return self._unweighed(model, self._moved(key, model, state, u, t))
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
-        """Draw particles, weigh them by the likelihood of y, keep their moments."""
+        """Draw particles, weigh them by the likelihood of y, keep their moments (steps 2 and 3)."""
         return self._weighed(key, model, state.sample(key, self.n), y, u, t)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> Ahead:
-        """Draw particles, move them and weigh them themselves."""
+        """Draw particles, move them and weigh them themselves (steps 1 to 3)."""
         X = self._moved(random.child(key, random.PREDICT), model, state, u, t)
         after, info = self._weighed(random.child(key, random.UPDATE), model, X, y, u, t)
         return Ahead(after, info, lambda: self._unweighed(model, X))

@@ -135,7 +135,7 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
         return replace(state.resampled(which), log_weights=logspace.normalize(heaviest)[0])
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Mixture, u: Any, t: Any) -> Mixture:
-        """Reduce the mixands, then move each by particles."""
+        """Reduce the mixands (step 1), then move each by particles (step 2)."""
         state = self._reduced(random.child(key, random.RESAMPLE), state)
         points = state.parts.sample_each(random.child(key, random.INITIAL), self.n)
         X = points.reshape(points.shape[0], -1)
@@ -146,6 +146,7 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
             copies = self._copies(model)
             log_weights = state.log_weights - jnp.log(jnp.asarray(copies, X.dtype))
             return Mixture(*jax.tree.map(lambda leaf: jnp.concatenate([leaf] * copies, axis=-1), (parts, log_weights)))
+        # 2. form II: one mixand for each component of the process noise
         found: list[Mixture] = []
         for log_weight, part in self._split(model):
             moved = moments_each(equal, over_particles(part.mean, X, u, t).reshape(points.shape), model.circular)
@@ -156,7 +157,7 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
         return jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=-1), *found)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Mixture, y: jax.Array, u: Any, t: Any) -> tuple[Mixture, Info]:
-        """Weigh particles of each mixand by the likelihood of y; keep their moments and their mean weight."""
+        """Weigh particles of each mixand by the likelihood of y; keep their moments and their mean weight (step 3)."""
         points = state.parts.sample_each(key, self.n)
         likelihood, max_log_likelihood = self._log_likelihoods(model, points, y, u, t)
         before = state.log_weights - jnp.log(jnp.asarray(self.n, points.dtype))
@@ -166,6 +167,7 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
         log_weights = jnp.broadcast_to(state.log_weights, some.shape[1:]).reshape(-1)
         info = with_innovation(info, alarm.of_cloud(key, model.sensor, some.reshape(some.shape[0], -1), log_weights, y, u, t))
         joint = joint.reshape(points.shape[1:])
+        # the new weight of each mixand, and the weights of its particles within it
         log_weights = jax.nn.logsumexp(joint, axis=0)
         possible = jnp.isfinite(log_weights)
         own = jnp.where(possible, joint - jnp.where(possible, log_weights, 0), -jnp.log(jnp.asarray(self.n, points.dtype)))

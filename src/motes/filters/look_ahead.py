@@ -55,8 +55,9 @@ class LookAheadFilter(Filter):
         """Go to the next time t and take in its measurement."""
         if not self.look_ahead:
             return super().step(key, model, state, y, u, t)  # type: ignore[safe-super]
-        after, info, blind = self.ahead(key, model, state, y, u, t)
+        after, info, blind = self.ahead(key, model, state, y, u, t)  # step 1
         refused = info.collapsed | jnp.all(jnp.isnan(y))
+        # 2. once more without y
         before = blind() if self.gate is not None else jax.lax.cond(refused, blind, lambda: after)
         return self.accept(before, after, info, y)
 

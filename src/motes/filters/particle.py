@@ -99,7 +99,7 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
         return Cloud.equal(model.initial.sample(key, self.n))
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
-        """Resample where needed, then move by the dynamics."""
+        """Resample where needed, then move by the dynamics (steps 1 and 2)."""
 
         def move(noise_key: jax.Array, cloud: Cloud) -> Cloud:
             return replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
@@ -108,11 +108,11 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
         return resample_and_move(keys, self.scheme, self.policy, state, move)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Weigh the particles by the likelihood of y."""
+        """Weigh the particles by the likelihood of y (step 3)."""
         return first_weighed(key, self._moves, model, state, y, u, t)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
-        """Resample where needed, then move by the proposal."""
+        """Resample where needed, then move by the proposal and weigh (steps 1 to 3)."""
         resample_key, noise_key = keys_of(key)
         parents = resample(resample_key, self.scheme, self.policy, state)
         after, info = guided(noise_key, self._moves, model, parents, y, u, t)
