@@ -2,7 +2,8 @@
 
 1. Risk of each particle: R = lambda C + |y - h(f(x))|^q, what it would cost without noise. Select particles by phi(R), or let each be
    replaced by the neighbor of the lowest risk; a particle keeps its cost C, not its risk.
-2. Move each by f plus Gaussian steps; with `adaptive`, their size follows the steps that survived.
+2. Move each by f plus Gaussian steps; with `adaptive`, the factor s on their size follows the steps w that survived, in units of the scale:
+   s^2 <- ((t - 1) s^2 + |w|^2 / x) / t.
 3. Cost: C <- lambda C + |y - h(x)|^q. Weights are phi(C).
 """
 
@@ -124,7 +125,7 @@ class CostReferenceParticleFilter(LookAheadFilter):
         return replace(cloud, log_weights=weights, costs=costs, least=least), replace(info, log_evidence=jnp.zeros_like(least))
 
     def update(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
-        """Charge the particles for y."""
+        """Charge the particles for y (step 3)."""
         after, info = self._taken_in(model, state, y, u, t)
         return self.accept(state, after, info, y)
 
@@ -136,22 +137,25 @@ class CostReferenceParticleFilter(LookAheadFilter):
         return self.scheme.ancestors(key, logspace.normalize(self.phi.log_mass(risks, least))[0], self.n)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> Ahead:
-        """Select by risk, go to the next time t, and charge the particles for y."""
-        ahead = over_particles(model.dynamics.mean, state.particles, u, t)
-        risks, least = self._charged(model, state, ahead, y, u, t)
+        """Select by risk, go to the next time t, and charge the particles for y (steps 1 to 3)."""
+        # 1. risk and selection
+        predicted = over_particles(model.dynamics.mean, state.particles, u, t)
+        risks, least = self._charged(model, state, predicted, y, u, t)
         ancestors = self._selected(random.child(key, random.RESAMPLE), risks, least)
-        noise = random.normal(random.child(key, random.NOISE), ahead.shape, ahead.dtype)
+        # 2. move
+        noise = random.normal(random.child(key, random.NOISE), predicted.shape, predicted.dtype)
 
         def moved(cloud: CostCloud, centers: jax.Array) -> CostCloud:
             walk = cloud.spread * noise
-            steps, since = jnp.sum(walk**2, axis=0) / noise.shape[0], jnp.asarray(t, noise.dtype)
-            followed = jnp.sqrt(((since - 1) * cloud.spread**2 + steps) / since)
-            spread = jnp.where(t > SETTLING, followed, cloud.spread) if self.adaptive else cloud.spread
+            mean_square, time = jnp.sum(walk**2, axis=0) / noise.shape[0], jnp.asarray(t, noise.dtype)
+            adapted = jnp.sqrt(((time - 1) * cloud.spread**2 + mean_square) / time)
+            spread = jnp.where(t > SETTLING, adapted, cloud.spread) if self.adaptive else cloud.spread
             return replace(cloud, particles=centers + self._scales(model, cloud.particles, u, t) * walk, spread=spread)
 
-        after, info = self._taken_in(model, moved(state.chosen(ancestors), ahead[:, ancestors]), y, u, t)
+        # 3. cost
+        after, info = self._taken_in(model, moved(state.chosen(ancestors), predicted[:, ancestors]), y, u, t)
         unselected = replace(state, ancestors=jnp.arange(self.n, dtype=jnp.int32))
-        return Ahead(after, info, lambda: moved(unselected, ahead).gathered(model.circular))
+        return Ahead(after, info, lambda: moved(unselected, predicted).gathered(model.circular))
 
     def _scales(self, model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Standard deviations of the steps, `(x, n)` or what broadcasts to it."""

@@ -92,7 +92,7 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         return tuple(sorted({model.index(state) for state in self.sampled}))
 
     def _hypotheses(self, key: jax.Array, model: JumpMarkovModel, parts: Gaussian, log_weights: jax.Array) -> ModeMixture:
-        """Draw the states to be drawn; parts `(x, m n)` and weights `(m, n)` come mode after mode."""
+        """Draw the states to be drawn (end of step 2); parts `(x, m n)` and weights `(m, n)` come mode after mode."""
         states = self._drawn_states(model)
         if states:
             parts = parts.pinned(states, random.normal(key, (len(states), parts.center.shape[-1]), parts.center.dtype))
@@ -107,7 +107,7 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         return self._hypotheses(key, model, parts, log_probabilities(model.initial_mode)[:, None] + among)
 
     def _kept(self, key: jax.Array, log_weights: jax.Array) -> Reduction:
-        """Choose n of the hypotheses."""
+        """Choose n of the hypotheses (step 1)."""
         if not self.sampled:
             return reduced(key, log_weights, self.n)
 
@@ -119,7 +119,7 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         return jax.lax.cond(few, copied, lambda: reduced(key, log_weights, self.n))
 
     def predict(self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, u: Any, t: Any) -> ModeMixture:
-        """Bring the hypotheses down to n, and move each in every mode."""
+        """Bring the hypotheses down to n (step 1), and move each in every mode (step 2)."""
         ancestors, log_weights = self._kept(random.child(key, random.RESAMPLE), state.log_weights)
         kept, log_weights = gradients.noticed((state.resampled(ancestors), log_weights))
         log_transition = model.log_transition(u, t)[kept.modes].T
@@ -129,5 +129,5 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     def correct(
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
     ) -> tuple[ModeMixture, Info]:
-        """Weigh each hypothesis by its predictive density of y, and correct its Gaussian."""
+        """Weigh each hypothesis by its predictive density of y, and correct its Gaussian (step 3)."""
         return weigh_modes(self.rule, model, state, y, u, t)
