@@ -107,7 +107,7 @@ class CostReferenceParticleFilter(LookAheadFilter):
         """Draw n particles from the initial law, at no cost."""
         return CostCloud.free(model.initial.sample(key, self.n), self.estimate == "minimum cost")
 
-    def _charged(self, model: StateSpaceModel, cloud: CostCloud, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
+    def _costs(self, model: StateSpaceModel, cloud: CostCloud, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
         """Costs of particles that stand at X `(x, n)`, above the least, and the least."""
         residual = model.sensor.residual(y, over_particles(model.sensor.mean, X, u, t))
         # what was not measured costs nothing; a prediction that is not a number costs all
@@ -118,15 +118,15 @@ class CostReferenceParticleFilter(LookAheadFilter):
         base = jnp.where(jnp.isfinite(lowest), lowest, 0)
         return costs - base, self.forgetting * cloud.least + base
 
-    def _taken_in(self, model: StateSpaceModel, cloud: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
-        costs, least = self._charged(model, cloud, cloud.particles, y, u, t)
-        masses = jnp.where(jnp.isfinite(costs), self.phi.log_mass(costs, least), jnp.nan)
-        weights, info = weigh(logspace.uniform_weights(self.n, masses.dtype), masses, jnp.full((), jnp.inf, masses.dtype))
+    def _weighed(self, model: StateSpaceModel, cloud: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
+        costs, least = self._costs(model, cloud, cloud.particles, y, u, t)
+        log_masses = jnp.where(jnp.isfinite(costs), self.phi.log_mass(costs, least), jnp.nan)
+        weights, info = weigh(logspace.uniform_weights(self.n, log_masses.dtype), log_masses, jnp.full((), jnp.inf, log_masses.dtype))
         return replace(cloud, log_weights=weights, costs=costs, least=least), replace(info, log_evidence=jnp.zeros_like(least))
 
     def update(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
         """Charge the particles for y (step 3)."""
-        after, info = self._taken_in(model, state, y, u, t)
+        after, info = self._weighed(model, state, y, u, t)
         return self.accept(state, after, info, y)
 
     def _selected(self, key: jax.Array, risks: jax.Array, least: jax.Array) -> jax.Array:
@@ -140,7 +140,7 @@ class CostReferenceParticleFilter(LookAheadFilter):
         """Select by risk, go to the next time t, and charge the particles for y (steps 1 to 3)."""
         # 1. risk and selection
         predicted = over_particles(model.dynamics.mean, state.particles, u, t)
-        risks, least = self._charged(model, state, predicted, y, u, t)
+        risks, least = self._costs(model, state, predicted, y, u, t)
         ancestors = self._selected(random.child(key, random.RESAMPLE), risks, least)
         # 2. move
         noise = random.normal(random.child(key, random.NOISE), predicted.shape, predicted.dtype)
@@ -153,7 +153,7 @@ class CostReferenceParticleFilter(LookAheadFilter):
             return replace(cloud, particles=centers + self._scales(model, cloud.particles, u, t) * walk, spread=spread)
 
         # 3. cost
-        after, info = self._taken_in(model, moved(state.chosen(ancestors), predicted[:, ancestors]), y, u, t)
+        after, info = self._weighed(model, moved(state.chosen(ancestors), predicted[:, ancestors]), y, u, t)
         unselected = replace(state, ancestors=jnp.arange(self.n, dtype=jnp.int32))
         return Ahead(after, info, lambda: moved(unselected, predicted).gathered(model.circular))
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from motes.core import linalg
 from motes.core.record import record, replace
-from motes.filters.clouds import weigh_modes
+from motes.filters.clouds import correct_modes
 from motes.filters.gated import Gated
 from motes.filters.info import Info
 from motes.filters.interface import Guide, TwoStageFilter
@@ -99,4 +99,4 @@ class InteractingMultipleModel(Gated, TwoStageFilter):
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
     ) -> tuple[ModeMixture, Info]:
         """Condition each mode's Gaussian on y, and weigh the modes (step 3)."""
-        return weigh_modes(self.rule, model, state, y, u, t)
+        return correct_modes(self.rule, model, state, y, u, t)

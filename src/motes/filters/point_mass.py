@@ -141,23 +141,23 @@ class PointMassFilter(TwoStageFilter):
         parts, states = [model.dynamics], points
         if isinstance(model.dynamics, SwitchingDynamics):
             parts, states = model.dynamics.parts, points[:-1]
-        found = [_noise(part, states, u, t) for part in parts if isinstance(part, AdditiveGaussian)]
-        some, still = (jnp.stack(each) for each in zip(*found, strict=True)) if found else (jnp.zeros(1, bool),) * 2
-        misses = jnp.any(some) & ~(jnp.all(still) & (len(found) == len(parts)))
-        return self._gridded(model, state, jnp.where(misses, jnp.nan, weights), jnp.any(some))
+        found = [_noise_gaps(part, states, u, t) for part in parts if isinstance(part, AdditiveGaussian)]
+        missing, still = (jnp.stack(each) for each in zip(*found, strict=True)) if found else (jnp.zeros(1, bool),) * 2
+        misses = jnp.any(missing) & ~(jnp.all(still) & (len(found) == len(parts)))
+        return self._gridded(model, state, jnp.where(misses, jnp.nan, weights), jnp.any(missing))
 
     def correct(
         self, key: jax.Array, model: StateSpaceModel, state: GridCloud, y: jax.Array, u: Any, t: Any
     ) -> tuple[GridCloud, Info]:
         """Weigh the nodes by the likelihood of y; what has left the grid explains nothing of it (step 2)."""
-        likelihood = model.sensor.log_prob(y, state.particles, u, t)
-        weights, info = weigh(state.log_weights, likelihood, model.sensor.max_log_prob(y, state.particles, u, t))
+        log_likelihood = model.sensor.log_prob(y, state.particles, u, t)
+        weights, info = weigh(state.log_weights, log_likelihood, model.sensor.max_log_prob(y, state.particles, u, t))
         found = alarm.of_cloud(key, model.sensor, state.particles, state.log_weights, y, u, t)
         info = replace(with_innovation(info, found), log_evidence=info.log_evidence + jnp.log(state.held), lost=state.lost)
         return replace(state, log_weights=weights, held=jnp.ones_like(state.held)), info
 
 
-def _noise(dynamics: AdditiveGaussian, points: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
+def _noise_gaps(dynamics: AdditiveGaussian, points: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
     """Tell whether a step has no noise in some direction, and whether it has none at all and leaves the nodes `(x, n)` where they are."""
     without = noiseless(matrix_over(dynamics.Q, points, u, t))
     still = jnp.max(jnp.abs(dynamics.means(points, u, t) - points)) <= slack(points.dtype) * jnp.max(jnp.abs(points))

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.filters.clouds import by_likelihood, resample_and_move
+from motes.filters.clouds import resample_and_move, weigh_by_likelihood
 from motes.filters.info import Info
 from motes.filters.interface import Guide, TwoStageFilter
-from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of, unguided
+from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of, move_by_dynamics
 from motes.filters.needs import as_particle_model
 from motes.filters.sharp import ask_noise
 from motes.laws.cloud import Cloud
@@ -121,7 +121,7 @@ class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y (step 3)."""
-        return by_likelihood(key, model.sensor, state, y, u, t)
+        return weigh_by_likelihood(key, model.sensor, state, y, u, t)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
         """Resample where needed, move by the dynamics, weigh, and let the kernel propose (steps 1 to 4)."""
@@ -133,7 +133,7 @@ class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
         parents = resample(resample_key, self.scheme, self.policy, state)
         cloudwise.left_to_jax("move", parents, "a Metropolis step takes particles back")
         # 2. move
-        moved = unguided(noise_key, model, parents, u, t)
+        moved = move_by_dynamics(noise_key, model, parents, u, t)
         # 3. weigh
         after, info = self.correct(key, model, moved, y, u, t)
 
