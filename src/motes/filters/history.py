@@ -14,6 +14,7 @@ from motes.core.logspace import RunningSum
 from motes.core.record import record, replace, static
 from motes.filters.info import Info
 from motes.io import archive
+from motes.laws.observed import Observed
 from motes.laws.spelled import UnspelledError, restored, spelled
 
 _KEPT_BY = {"law": "laws", "mode_probabilities": "modes"}
@@ -29,7 +30,7 @@ class Carry:
         state: the law.
         evidence: sum of the log evidence so far.
         suspicion: cumulative sum of the alarm (`filters/alarm.py`).
-        y: measurement of the last step, `(y,)`.
+        y: measurement of the last step, `(y,)` or `Observed`.
         u: inputs of the last step.
         step: index of the last step.
     """
@@ -37,7 +38,7 @@ class Carry:
     state: Any
     evidence: RunningSum
     suspicion: jax.Array
-    y: jax.Array
+    y: Any
     u: Any
     step: jax.Array
 
@@ -256,7 +257,9 @@ class History:
         info = _recorded(tree["info"])
         last = dict(tree["last"])
         evidence = RunningSum(**{name: jnp.asarray(value) for name, value in last.pop("evidence").items()})
-        suspicion = jnp.asarray(last.get("suspicion", 0.0), last["y"].dtype)
+        y = last["y"]
+        y = Observed(jax.tree.map(jnp.asarray, y.get("value")), jnp.asarray(y["there"])) if isinstance(y, dict) else jnp.asarray(y)
+        suspicion = jnp.asarray(last.get("suspicion", 0.0), evidence.total.dtype)
         forms = texts.get("forms", {})
         try:
             kept = restored(forms["kept"], tree.get("kept", {})) if "kept" in forms else tree.get("kept", {})
@@ -266,7 +269,7 @@ class History:
         if isinstance(state, dict) or isinstance(kept.get("law"), dict):
             checks.warn(f"{path}: its laws are of a kind that files of this version do not name; they come back as dictionaries of arrays. "
                         "The history can be continued, but not smoothed, and diagnose sees no weights.")
-        carry = Carry(state, evidence, suspicion, jnp.asarray(last["y"]), last.get("u"), jnp.asarray(last["step"]))
+        carry = Carry(state, evidence, suspicion, y, last.get("u"), jnp.asarray(last["step"]))
         traits = {name: texts[name] for name in _TRAITS if name in texts}
         rest = (jnp.asarray(tree["start"]), tuple(texts["names"]), texts["filter"])
         traits |= {"circular": tuple(texts.get("circular", ())), "rounding": tree.get("rounding")}
@@ -280,7 +283,9 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
     if not isinstance(names, list) or not named or not isinstance(texts.get("forms", {}), dict):
         checks.refuse(f"{path}: texts", "names of states and of a filter", "others", "Restore it from a copy.", checks.FileError)
     kinds = {"collapsed": "b", "alarm": "b", "invalid": "iu", "gated": "iu", "freedom": "iuf"}
-    archive.agree(path, forms, {"info/log_evidence": ((None,), "f"), "start": ((), "iu"), "last/step": ((), "iu"), "last/y": ((None,), "f"),
+    last = forms.get("last")
+    archive.agree(path, forms, {"info/log_evidence": ((None,), "f"), "start": ((), "iu"), "last/step": ((), "iu"),
+                                **measurement_form("last/y", last.get("y") if isinstance(last, dict) else None),
                                 "last/evidence/total": ((), "f"), "last/evidence/missed": ((), "f")})  # fmt: skip
     steps, x = forms["info"]["log_evidence"].shape[0], len(names)
     there = {field.name for field in fields(Info)} & set(forms["info"]) | {"ess", "collapsed", "invalid", "lowest", "highest", "shortfall"}
@@ -293,6 +298,11 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
     archive.agree(path, forms, {f"kept/{name}": (shape, "f") for name, shape in known.items() if isinstance(kept, dict) and name in kept})
     if isinstance(kept, dict) and isinstance(kept.get("law"), dict):
         archive.repeats(path, forms, "kept/law", (steps,), "last/state", ())
+
+
+def measurement_form(name: str, stored: Any) -> dict[str, tuple[tuple[int | None, ...], str]]:
+    """Return what a file must hold of one measurement under a name: a vector, or a tree and whether there was anything."""
+    return {f"{name}/there": ((), "b")} if isinstance(stored, dict) else {name: ((None,), "f")}
 
 
 def _recorded(fields: dict[str, Any]) -> Info:

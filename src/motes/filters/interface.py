@@ -10,6 +10,7 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.info import Info
+from motes.laws.observed import is_nothing
 from motes.models.interface import circular
 from motes.models.state_space import as_state_space
 from motes.resampling import gradients
@@ -116,7 +117,7 @@ class Filter(ABC):
 
     def accept(self, before: Any, after: Any, info: Info, y: jax.Array) -> tuple[Any, Info]:
         """Accept an update by the rules that all filters share: nothing measured changes nothing, the gate, the policy for a collapse."""
-        missing = jnp.all(jnp.isnan(y))
+        missing = is_nothing(y)
         if self.gate is not None:
             outside = (info.freedom > 0) & ~alarm.within(self.gate, info.nis, info.freedom) & ~missing
             info = replace(info, gated=outside.astype(jnp.int32), collapsed=info.collapsed & ~outside)

@@ -11,12 +11,13 @@ import numpy as np
 from motes.core import checks, random
 from motes.core.types import Inputs, KeyLike
 from motes.filters.data import checked_data, refuse_infinite
-from motes.filters.history import Carry, History, ask_evidence
+from motes.filters.history import Carry, History, ask_evidence, measurement_form
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.setup import Setup, canonical_parts, carry_like, setup
 from motes.io import archive
 from motes.io.members import Form
+from motes.laws.observed import Observed, nothing_like
 from motes.models.canonical import shape_of
 from motes.models.interface import Model
 from motes.models.state_space import numbers_of
@@ -90,7 +91,10 @@ class Stream:
         self.info: Info | None = None
 
     def update(self, y: Any) -> Info:
-        """Take in the measurement y `(y,)` of the present step and return the record of it; NaN, None, masked and NA mean not measured.
+        """Take in the measurement of the present step and return the record of it.
+
+        Args:
+            y: `(y,)`, or what the model's `Custom` sensor measures; NaN, masked and NA mean not measured, None that nothing was.
 
         Raises:
             MotesError: y does not fit the model, or this step has its measurement already.
@@ -131,8 +135,7 @@ class Stream:
         """A look-ahead step whose measurement never came is a step without measurement."""
         if self._pending:
             carry = self._opened(None)
-            nothing = jnp.full_like(carry.y, jnp.nan)
-            self._carry, self.info = _advance(self._form, self._parts, carry, nothing, self._pending[-1])
+            self._carry, self.info = _advance(self._form, self._parts, carry, nothing_like(carry.y), self._pending[-1])
             self._pending = []
 
     def _fit(self, u: Inputs, y: Any) -> None:
@@ -150,14 +153,31 @@ class Stream:
         self._form = (jax.tree.structure((self.key, *known)), Beside(known))
 
     def _checked(self, y: Any) -> Any:
-        if self._carry is None:
-            return checked_data(self.model, np.atleast_1d(checks.as_numbers("y", y))[None], None)[0][0]
+        if y is None:
+            return self._nothing()
+        if self._carry is None or isinstance(self._carry.y, Observed):
+            rows = jax.tree.map(lambda leaf: np.atleast_1d(checks.as_numbers("y", leaf))[None], y)
+            found = jax.tree.map(lambda leaf: leaf[0], checked_data(self.model, rows, None)[0])
+            form, first = (jax.tree.map(shape_of, one) for one in (found, found if self._carry is None else self._carry.y))
+            if form != first:
+                checks.refuse("y", f"the form of the first one, {_in_short(first)}", _in_short(form))
+            return found
         y = np.atleast_1d(checks.as_numbers("y", y))
         checks.shape("y", y, self._carry.y.shape, "(as the first one)")
         refuse_infinite("y", y, self._carry.y.dtype)
         return np.asarray(y, self._carry.y.dtype)
 
-    def _opened(self, y: jax.Array | None) -> Carry:
+    def _nothing(self) -> Any:
+        """Return a measurement that says that nothing was measured."""
+        if self._carry is not None:
+            return nothing_like(self._carry.y)
+        size = self.model.measurement_size(self._inputs)
+        if size is None:
+            checks.refuse("y", "a first measurement, which shows its form (the sensor is a Custom density)", "None",
+                          "Give NaN in its form where nothing was measured.")
+        return np.full((size,), np.nan, self.model.dtype)
+
+    def _opened(self, y: Any) -> Carry:
         if self._carry is None:
             if y is None:
                 checks.refuse("predict", "a measurement of step 0 first", "none", "Call update(y) with NaN if nothing was measured.")
@@ -230,15 +250,14 @@ class Stream:
             # what a header says is a tuple, and would be taken apart
             stored = jax.tree.map(_shape, carry.get("u"), is_leaf=lambda leaf: isinstance(leaf, Form))
             u = stored if inputs is None else numbers_of("stream inputs", inputs)
-            y = jax.ShapeDtypeStruct(carry["y"].shape, model.dtype)
-            return carry_like(filter, model, u, y)
+            return carry_like(filter, model, u, _measured(carry["y"], model.dtype))
 
         def check(forms: dict[str, Any], texts: dict[str, Any]) -> None:
             for name, own in (("filter", repr(filter)), ("names", list(model.names))):
                 if texts.get(name) != own:
                     hint = "Give the filter and model it was saved with."
                     checks.refuse(f"{path}: {name}", str(own), str(texts.get(name)), hint, checks.FileError)
-            archive.agree(path, forms, {"key": ((2,), "iu"), "carry/y": ((None,), "f")})
+            archive.agree(path, forms, {"key": ((2,), "iu"), **measurement_form("carry/y", forms.get("carry", {}).get("y"))})
             archive.fit(path, like(forms["carry"]), forms["carry"])
 
         tree, texts = archive.read_tree(path, "checkpoint", check)
@@ -252,6 +271,18 @@ class Stream:
 
 def _shape(leaf: Any) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype)
+
+
+def _measured(stored: Any, dtype: Any) -> Any:
+    """Return the shapes of a measurement that a file holds."""
+    if not isinstance(stored, dict):
+        return jax.ShapeDtypeStruct(stored.shape, dtype)
+    shapes = jax.tree.map(_shape, stored, is_leaf=lambda leaf: isinstance(leaf, Form))
+    return Observed(shapes.get("value"), shapes["there"])
+
+
+def _in_short(form: Any) -> str:
+    return ", ".join(f"{leaf.dtype}{list(leaf.shape)}" for leaf in jax.tree.leaves(form))
 
 
 def stream(key: KeyLike, filter: Filter, model: Model, inputs: Inputs = None) -> Stream:

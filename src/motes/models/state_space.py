@@ -65,6 +65,7 @@ class StateSpaceModel(Model):
         names = tuple(names) or tuple(f"x{i}" for i in range(size))
         if len(names) != size or len(set(names)) != size:
             checks.refuse("StateSpaceModel names", f"{size} different names, one per state", list(names))
+        sensor = sensor.of_states(names)
         if noise_cross_cov is not None:
             noise_cross_cov = _checked_cross_cov(noise_cross_cov, dynamics, sensor, size)
         fields = {"initial": initial, "dynamics": dynamics, "sensor": sensor, "names": names, "noise_cross_cov": noise_cross_cov}
