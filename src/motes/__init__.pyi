@@ -24,6 +24,7 @@ from .core.record import record as record
 from .core.record import replace as replace
 from .diagnostics.diagnose import diagnose as diagnose
 from .filters import keep as keep
+from .filters.adapting import Adapting as Adapting
 from .filters.auxiliary import AuxiliaryParticleFilter as AuxiliaryParticleFilter
 from .filters.cost_reference import CostReferenceParticleFilter as CostReferenceParticleFilter
 from .filters.cubature_kalman import CubatureKalmanFilter as CubatureKalmanFilter
@@ -35,7 +36,6 @@ from .filters.gaussian import GaussianFilter as GaussianFilter
 from .filters.gaussian_particle import GaussianParticleFilter as GaussianParticleFilter
 from .filters.gaussian_sum import GaussianSumParticleFilter as GaussianSumParticleFilter
 from .filters.history import History as History
-from .filters.history import joined as joined
 from .filters.interacting_multiple_model import InteractingMultipleModel as InteractingMultipleModel
 from .filters.interface import Filter as Filter
 from .filters.jump_markov import JumpMarkovFilter as JumpMarkovFilter
@@ -49,9 +49,9 @@ from .filters.proposals import ExtendedKalmanProposal as ExtendedKalmanProposal
 from .filters.proposals import OptimalProposal as OptimalProposal
 from .filters.proposals import Proposal as Proposal
 from .filters.proposals import UnscentedProposal as UnscentedProposal
+from .filters.recovering import Recovering as Recovering
 from .filters.regularized import RegularizedParticleFilter as RegularizedParticleFilter
 from .filters.run import run as run
-from .filters.run import run_in_chunks as run_in_chunks
 from .filters.square_root_kalman import SquareRootKalmanFilter as SquareRootKalmanFilter
 from .filters.stream import Stream as Stream
 from .filters.stream import stream as stream

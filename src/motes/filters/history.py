@@ -198,7 +198,7 @@ class History:
             data["cov"] = (("time", "state", "state2"), np.asarray(self.cov))
         if "mode_probabilities" in self.kept:
             data["mode_probabilities"] = (("time", "mode"), np.asarray(self.mode_probabilities))
-        for name in ("log_evidence", "ess", "collapsed", "invalid", "nis", "freedom", "alarm", "gated", "lost"):
+        for name in ("log_evidence", "ess", "collapsed", "invalid", "nis", "freedom", "alarm", "gated", "lost", "recovered"):
             data[name] = (("time",), np.asarray(getattr(self.info, name)))
         names = list(self.names)
         attributes = archive.provenance() | {"filter": self.label, "engine": self.engine}
@@ -308,7 +308,7 @@ def measurement_form(name: str, stored: Any) -> dict[str, tuple[tuple[int | None
 def _recorded(fields: dict[str, Any]) -> Info:
     """Return what a file says of each step; what files of version 0.1 lack reads as not known (`freedom` 0)."""
     like = fields["log_evidence"]
-    lacking = {name: np.zeros_like(like) for name in ("nis", "freedom", "lost")}
+    lacking = {name: np.zeros_like(like) for name in ("nis", "freedom", "lost", "recovered")}
     lacking |= {"alarm": np.zeros(like.shape, bool), "gated": np.zeros(like.shape, np.int32)}
     return Info(**{name: jnp.asarray(value) for name, value in {**lacking, **fields}.items()})
 

@@ -100,6 +100,10 @@ class Filter(ABC):
         """
         return as_state_space(type(self).__name__, model)
 
+    def seen_inputs(self, u: Any) -> Any:
+        """Return the inputs of a step as the model's functions get them, of the user's; for tracing."""
+        return u
+
     def ask(self, model: Any, u: Any) -> None:  # noqa: B027 (most filters take any numbers)
         """Refuse what the numbers of the user's model do not allow, as far as they are known; asked before anything is compiled."""
 

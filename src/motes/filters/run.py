@@ -162,4 +162,4 @@ def _run(
             start = first.step + 1
             last, (of_steps, infos) = loop(step, first, (ys, inputs))
         report.complete(notes, type(filter).__name__)
-    return _Found(of_steps, infos, last, start, precision.rounding(model, ys, at_step(inputs, 0)), report.engine_used(notes))
+    return _Found(of_steps, infos, last, start, precision.rounding(model, ys, filter.seen_inputs(at_step(inputs, 0))), report.engine_used(notes))

@@ -94,6 +94,7 @@ def setup(key: jax.Array, filter: Filter, model: Model, u: Inputs, y: Any) -> Se
     Raises:
         MotesError: they do not; the message says what, where, and what to use instead.
     """
+    u = filter.seen_inputs(u)
     model.check(u)
     size = None if isinstance(y, Observed) else model.measurement_size(u)
     if size not in (None, y.shape[0]):
@@ -114,7 +115,7 @@ def carry_like(filter: Filter, model: Model, u: Inputs, y: Any) -> Carry:
 
 def canonical_parts(filter: Filter, model: Model, u: Inputs, y: Any) -> tuple[Filter, Model]:
     """Return filter and model such that code compiled for equal ones is used again; u and y are one step's, or their shapes."""
-    u, y = jax.tree.map(shape_of, (u, y))
+    u, y = jax.tree.map(shape_of, (filter.seen_inputs(u), y))
     model = canonical(model, u, y)
     x = jax.ShapeDtypeStruct((model.size,), model.dtype)
     # a conditional among the parameters is a proposal: its functions see the pair of inputs and measurement

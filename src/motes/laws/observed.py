@@ -1,7 +1,7 @@
 """Measurements that are no vectors: images, padded sets of plots, several sensors by name.
 
-Those with numbers that can be NaN say by NaN what was not measured, as vectors do; an image of whole numbers cannot, so whether anything was
-measured at all goes with it.
+Those with numbers that can be NaN say by NaN what was not measured, as vectors do; an image of whole numbers cannot, so whether anything
+was measured at all goes with it.
 """
 
 from typing import Any
