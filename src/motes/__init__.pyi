@@ -47,7 +47,6 @@ from .filters.particle import ParticleFilter as ParticleFilter
 from .filters.point_mass import PointMassFilter as PointMassFilter
 from .filters.proposals import ExtendedKalmanProposal as ExtendedKalmanProposal
 from .filters.proposals import OptimalProposal as OptimalProposal
-from .filters.proposals import Proposal as Proposal
 from .filters.proposals import UnscentedProposal as UnscentedProposal
 from .filters.recovering import Recovering as Recovering
 from .filters.regularized import RegularizedParticleFilter as RegularizedParticleFilter
@@ -61,6 +60,7 @@ from .laws.conditional import AdditiveNoise as AdditiveNoise
 from .laws.conditional import Custom as Custom
 from .laws.conditional import LinearGaussian as LinearGaussian
 from .laws.gaussian import Gaussian as Gaussian
+from .laws.independent import Independent as Independent
 from .laws.mixture import Mixture as Mixture
 from .laws.noise import Laplace as Laplace
 from .laws.noise import StudentT as StudentT

@@ -59,8 +59,8 @@ class Adapting(Wrapper):
         use="the sensor changes while it is looked through",
     )
 
-    memory: Any = ()
-    learn: Callable[..., Any] | None = static(default=None)
+    memory: Any
+    learn: Callable[..., Any] = static()
 
     def check_parameters(self) -> None:
         """Check the parameters.
@@ -95,7 +95,6 @@ class Adapting(Wrapper):
 
     def after(self, key: jax.Array, before: Carried, law: Any, info: Info, y: Any, u: Any, t: Any) -> tuple[Carried, Info]:
         """Learn from the law and the measurement."""
-        assert self.learn is not None
         learned = self.learn(key, before.beside, law, value_of(y), u, t)
         missing = is_nothing(y)
         return Carried(law, jax.tree.map(lambda new, old: jnp.where(missing, old, new), learned, before.beside)), info

@@ -21,6 +21,7 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     """
     dtype = checks.instance("run model", model, Model, "a StateSpaceModel or a MixedLinearModel").dtype
     sensors = [part.sensor for part in model.each_mode()]
+    ys = sensors[0].packed(ys)
     if isinstance(ys, Observed):
         return ys, checked_inputs(inputs, steps_of(ys), "ys")
     whole = _stacked(ys) if isinstance(ys, (list, tuple)) and _is_array(ys) else None

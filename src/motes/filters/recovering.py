@@ -82,7 +82,7 @@ class Recovering(Wrapper):
     def after(self, key: jax.Array, before: Carried, law: Any, info: Info, y: Any, u: Any, t: Any) -> tuple[Carried, Info]:
         """Draw particles anew where the evidence has fallen."""
         missing = is_nothing(y)
-        evidence = jnp.where(info.collapsed | jnp.isnan(info.log_evidence), -jnp.inf, info.log_evidence)
+        evidence = jax.lax.stop_gradient(jnp.where(info.collapsed | jnp.isnan(info.log_evidence), -jnp.inf, info.log_evidence))
         slow, fast = (jnp.where(missing, mean, _mixed(mean, evidence, share))
                       for mean, share in zip(before.beside, (self.slow, self.fast), strict=True))  # fmt: skip
         known = jnp.isfinite(slow)

@@ -162,4 +162,5 @@ def _run(
             start = first.step + 1
             last, (of_steps, infos) = loop(step, first, (ys, inputs))
         report.complete(notes, type(filter).__name__)
-    return _Found(of_steps, infos, last, start, precision.rounding(model, ys, filter.seen_inputs(at_step(inputs, 0))), report.engine_used(notes))
+    seen = filter.seen_inputs(at_step(inputs, 0))
+    return _Found(of_steps, infos, last, start, precision.rounding(model, ys, seen), report.engine_used(notes))

@@ -20,7 +20,7 @@ from motes.laws.carried import Carried
 class Wrapper(Filter):
     """A filter around another. Subclasses write `begun` and `after`, and perhaps `inputs_with`.
 
-    `on_collapse` is that of the inner filter.
+    `on_collapse` is that of the inner filter, unless it is given here.
 
     Attributes:
         filter: the inner filter.
@@ -35,8 +35,10 @@ class Wrapper(Filter):
             MotesError: the inner filter is none, or a parameter has a value it cannot have.
         """
         checks.instance(f"{type(self).__name__} filter", self.filter, Filter, "a filter such as ParticleFilter(n=1000)")
-        object.__setattr__(self, "on_collapse", self.filter.on_collapse)
         super().__post_init__()
+        answer = self.filter.on_collapse if self.on_collapse == "raise" else self.on_collapse
+        object.__setattr__(self, "on_collapse", answer)
+        object.__setattr__(self, "filter", replace(self.filter, on_collapse=answer))
 
     @abstractmethod
     def begun(self, key: jax.Array, model: Any, law: Any) -> Any:

@@ -59,6 +59,10 @@ class Conditional(ABC):
         """Return the same for a model whose states have these names; conditionals that name states look them up here."""
         return self
 
+    def packed(self, ys: Any) -> Any:
+        """Return measurements as they come, time axis first, in the form in which they are computed with; as they are by default."""
+        return ys
+
     @abstractmethod
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Return the law given one state `(x,)`."""

@@ -5,6 +5,7 @@ compile again. Here each user function is traced once on the shapes of its argum
 (see `tracing/identity.py`), or, where that cannot be compared, by what it reads.
 """
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, TypeVar
 
@@ -12,7 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom, LinearGaussian
-from motes.laws.observed import value_of
+from motes.laws.independent import Stacked, Together
+from motes.laws.observed import Observed, value_of
 from motes.laws.switching import SwitchingDynamics, SwitchingSensor
 from motes.models.interface import Model, Wrap, exchanged
 from motes.tracing.identity import canonical_function
@@ -56,6 +58,11 @@ def canonical_conditional(name: str, part: Conditional, x: Any, u: Any, value: A
         value = _without_mode(value) if chain else value
         known = {"parts": tuple(canonical_conditional(f"{name} of mode {m}", each, rest, u, value) for m, each in enumerate(part.parts))}
         return exchanged(part, known | ({"transition": canonical_function(part.transition, (u, t), "transition(u, t)")} if chain else {}))
+    if isinstance(part, (Stacked, Together)):
+        own = value_of(value) if isinstance(value, Observed) else {}
+        parts = [canonical_conditional(f"{name} of {which}", each, x, u, own.get(which) if isinstance(own, Mapping) else None)
+                 for which, each in zip(part.of_parts, part.parts, strict=True)]  # fmt: skip
+        return exchanged(part, {"parts": tuple(parts)})
     if type(part) is Custom:
         return exchanged(part, _canonical_custom(name, part, x, u, value))
     fields = _FUNCTIONS.get(type(part), ())
