@@ -60,6 +60,10 @@ class Carried(Law):
         """Probabilities of the modes, `(m,)`; see `Law`."""
         return self.law.mode_probabilities(count)
 
+    def weighted_points(self) -> tuple[jax.Array, jax.Array] | None:
+        """Return the points of the law."""
+        return self.law.weighted_points()
+
     def gathered(self, angles: tuple[int, ...]) -> "Carried":
         """Return the same with the law on one branch of the states that are angles."""
         return replace(self, law=self.law.gathered(angles))
