@@ -24,6 +24,7 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     ys = sensors[0].packed(ys)
     if isinstance(ys, Observed):
         return ys, checked_inputs(inputs, steps_of(ys), "ys")
+    ys = _with_rows(ys)
     whole = _stacked(ys) if isinstance(ys, (list, tuple)) and _is_array(ys) else None
     if whole is not None or not _is_array(ys) or _rank(ys) > 2:
         found = _observed(sensors, ys if whole is None else whole[0], dtype, None if whole is None else whole[1])
@@ -63,6 +64,14 @@ def _numbers(argument: str, ys: Any, dtype: Any) -> Any:
 def _is_array(value: Any) -> bool:
     """Tell an array, or what NumPy makes one of (a list too), from a tree of arrays."""
     return type(value) in (list, tuple) or (not isinstance(value, Mapping) and jax.tree_util.all_leaves([value]))
+
+
+def _with_rows(ys: Any) -> Any:
+    """Return a list of vectors with NaN in place of those that are None."""
+    if type(ys) not in (list, tuple) or not any(one is None for one in ys):
+        return ys
+    sizes = {np.shape(one) for one in ys if one is not None and _is_array(one) and _rank(one) == 1}
+    return [np.full(next(iter(sizes)), np.nan) if one is None else one for one in ys] if len(sizes) == 1 else ys
 
 
 def _rank(value: Any) -> int:

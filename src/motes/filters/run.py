@@ -15,10 +15,11 @@ from motes.core.types import Inputs, KeyLike, Measurements
 from motes.filters import keep as keeping
 from motes.filters import notices, precision
 from motes.filters.data import checked_data, steps_of
-from motes.filters.history import Carry, History
+from motes.filters.history import Carry, History, joined
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
+from motes.filters.pieces import pieces
 from motes.filters.setup import canonical_parts, carry_like, setup
 from motes.io import archive
 from motes.laws.observed import Observed
@@ -50,7 +51,8 @@ def run(
         filter: the filter.
         model: state-space, mixed linear or jump-Markov model.
         ys: measurements `(t, y)`, or, of a `Custom` sensor, arrays of any shape and type or trees of them, time axis first, or a list with
-            one for each step; NaN, None, masked and NA mean not measured; the first is of x_0.
+            one for each step; NaN, None, masked and NA mean not measured; the first is of x_0. An iterator of them, or of lists of
+            several, is gone through in pieces, so that they need not be in memory at once.
         inputs: tree with the time axis first, or None; finite numbers in every row.
         keep: what to keep of each law (see `keep`).
         after: history of the steps before, to continue from with the same key; the result equals the uncut run, bit for bit.
@@ -59,6 +61,8 @@ def run(
         MotesError: measurements, inputs, filter and model do not fit each other.
         CollapseError: all weights vanished and the filter's `on_collapse` is "raise" (outside jit only).
     """
+    if isinstance(ys, Iterator):
+        return _run_through(key, filter, model, ys, inputs, keep, after)
     key = random.key_or_data(key)
     if not isinstance(filter, Filter):
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
@@ -88,6 +92,17 @@ def run(
     if checks.is_concrete(history.info):
         notices.warn(history, after)
     return history
+
+
+def _run_through(
+    key: KeyLike, filter: Filter, model: Model, ys: Iterator[Any], inputs: Inputs, keep: Keep, after: History | None
+) -> History:
+    """Run over measurements that come one after the other; what was kept is put together at the end."""
+    checks.instance("run model", model, Model, "a model such as StateSpaceModel")
+    found: list[History] = []
+    for piece, rows in pieces(model, ys, inputs):
+        found.append(run(key, filter, model, piece, rows, keep, found[-1] if found else after))
+    return joined(found)
 
 
 def _end_of(after: History, filter: Filter, model: Any, u: Inputs, y: Any) -> Carry:

@@ -1,5 +1,6 @@
 """On-line filtering, one step at a time, with the very numbers that `run` draws."""
 
+from collections import deque
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from motes.filters.data import checked_data, refuse_infinite
 from motes.filters.history import Carry, History, ask_evidence, measurement_form
 from motes.filters.info import Info
 from motes.filters.interface import Filter
+from motes.filters.late import Past, joined_measurement
 from motes.filters.setup import Setup, canonical_parts, carry_like, setup
 from motes.io import archive
 from motes.io.members import Form
@@ -71,7 +73,7 @@ class Stream:
     following `update` does the whole step.
     """
 
-    def __init__(self, key: KeyLike, filter: Filter, model: Any, inputs: Inputs = None):
+    def __init__(self, key: KeyLike, filter: Filter, model: Any, inputs: Inputs = None, lag: int = 0):
         """Stand before the first measurement.
 
         Args:
@@ -79,7 +81,9 @@ class Stream:
             filter: the filter.
             model: state-space or mixed linear model.
             inputs: inputs of step 0 (not of the whole run), or None.
+            lag: how many steps back `insert` can go; the stream keeps as many laws.
         """
+        self._past = Past(lag)
         self.key, self.filter, self.model = random.as_key(key), filter, model
         self._inputs = numbers_of("stream inputs", inputs)
         self._parts: list[Any] = []
@@ -108,12 +112,15 @@ class Stream:
             carry, info = _advance(self._form, self._parts, carry, y, self._pending[-1])
         else:
             carry, info = _take_in(self._form, self._parts, carry, y)
-        if self.filter.on_collapse == "raise" and bool(info.collapsed):
-            at_step = jax.tree.map(lambda leaf: leaf[None], info)
-            so_far = History({}, at_step, carry, carry.step, self.model.names, repr(self.filter), **self.filter.traits)
-            so_far.raise_on_collapse()
+        self._ask_sound(carry, info)
+        self._past.measured(y)
         self._carry, self.info, self._updated, self._pending = carry, info, True, []
         return info
+
+    def _ask_sound(self, carry: Carry, info: Info) -> None:
+        if self.filter.on_collapse == "raise" and bool(info.collapsed):
+            at_step = jax.tree.map(lambda leaf: leaf[None], info)
+            History({}, at_step, carry, carry.step, self.model.names, repr(self.filter), **self.filter.traits).raise_on_collapse()
 
     def predict(self, u: Inputs = None) -> None:
         """Go to the next step, with its inputs u.
@@ -125,11 +132,48 @@ class Stream:
         self._settle_pending()
         carry = self._opened(None)
         self._fit(u, carry.y)
+        self._past.opened(carry, u, None)
         if self.filter.look_ahead:
             self._pending = [u]
         else:
             self._carry = _move(self._form, self._parts, carry, u)
         self._updated = False
+
+    def insert(self, y: Any, t: int) -> None:
+        """Take in a measurement that came late, of a step before the present one.
+
+        The steps since are taken once more, with the numbers that they had: all is as if it had come in time, to the bit.
+
+        Args:
+            y: the measurement, or the components of it that were missing, NaN elsewhere.
+            t: its step, at most `lag` before the present one.
+
+        Raises:
+            MotesError: the step is not kept, or had this measurement already.
+        """
+        place = self._past.place(t)
+        steps, carry, info = list(self._past.steps), self._carry, self.info
+        assert carry is not None
+        before, u, there = steps[place]
+        steps[place] = (before, u, joined_measurement(there, self._checked(y)))
+        latest = len(steps) - 1
+        for now in range(place, len(steps)):
+            before, u, there = steps[now]
+            if now > place and now == latest and not self._updated:
+                # the present step has no measurement yet
+                carry = before if self.filter.look_ahead else _move(self._form, self._parts, before, u)
+                break
+            y = nothing_like(carry.y) if there is None else there
+            if before is None:
+                carry, info = _take_in(self._form, self._parts, _start(self._form, self._parts, u, y), y)
+            else:
+                carry, info = _advance(self._form, self._parts, before, y, u)
+            self._ask_sound(carry, info)
+            if now < latest:
+                steps[now + 1] = (carry, *steps[now + 1][1:])
+        if place == latest:
+            self._updated, self._pending = True, []
+        self._carry, self.info, self._past.steps = carry, info, deque(steps)
 
     def _settle_pending(self) -> None:
         """A look-ahead step whose measurement never came is a step without measurement."""
@@ -183,6 +227,7 @@ class Stream:
                 checks.refuse("predict", "a measurement of step 0 first", "none", "Call update(y) with NaN if nothing was measured.")
             self._fit(self._inputs, y)
             self._carry = _start(self._form, self._parts, self._inputs, y)
+            self._past.opened(None, self._inputs, None)
         assert self._carry is not None
         return self._carry
 
@@ -285,6 +330,6 @@ def _in_short(form: Any) -> str:
     return ", ".join(f"{leaf.dtype}{list(leaf.shape)}" for leaf in jax.tree.leaves(form))
 
 
-def stream(key: KeyLike, filter: Filter, model: Model, inputs: Inputs = None) -> Stream:
+def stream(key: KeyLike, filter: Filter, model: Model, inputs: Inputs = None, lag: int = 0) -> Stream:
     """Start on-line filtering; see `Stream`."""
-    return Stream(key, filter, model, inputs)
+    return Stream(key, filter, model, inputs, lag)
