@@ -16,10 +16,10 @@ from motes.core import checks
 from motes.core.record import record, static
 from motes.filters.info import Info, with_innovation
 from motes.filters.interface import Guide
-from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_innovation
+from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of, move_by_dynamics, predicted_innovation, propose_and_weigh
 from motes.filters.needs import as_particle_model
 from motes.filters.proposals import Proposal, as_proposal
-from motes.filters.sharp import ask_noise, conditions_exactly, first_weighed
+from motes.filters.sharp import ask_noise, conditions_exactly, weigh_or_redraw
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models.state_space import StateSpaceModel
@@ -69,10 +69,10 @@ class AuxiliaryParticleFilter(LookAheadFilter):
             MotesError: n is not a positive whole number, or the proposal has the wrong kind.
         """
         checks.positive_integer("AuxiliaryParticleFilter n", self.n)
-        _ = self._moves
+        _ = self._importance_density
 
     @property
-    def _moves(self) -> Proposal:
+    def _importance_density(self) -> Proposal:
         return as_proposal("AuxiliaryParticleFilter proposal", self.proposal)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
@@ -85,7 +85,7 @@ class AuxiliaryParticleFilter(LookAheadFilter):
         if not model.dynamics.has_moments:
             checks.refuse("AuxiliaryParticleFilter dynamics", "a mean function (particles are scored at it)", type(model.dynamics).__name__,
                           "Use a ParticleFilter.")
-        self._moves.check("AuxiliaryParticleFilter", model, u)
+        self._importance_density.check("AuxiliaryParticleFilter", model, u)
         return model
 
     def ask(self, model: Any, u: Any) -> None:
@@ -94,7 +94,7 @@ class AuxiliaryParticleFilter(LookAheadFilter):
         Raises:
             MotesError: it has none in some component.
         """
-        ask_noise(type(self).__name__, model, lambda: not conditions_exactly(self._moves, model))
+        ask_noise(type(self).__name__, model, lambda: not conditions_exactly(self._importance_density, model))
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
         """Draw n particles from the initial law."""
@@ -102,17 +102,17 @@ class AuxiliaryParticleFilter(LookAheadFilter):
 
     def update(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
         """Weigh the particles by the likelihood of y."""
-        after, info = first_weighed(key, self._moves, model, state, y, u, t)
+        after, info = weigh_or_redraw(key, self._importance_density, model, state, y, u, t)
         return self.accept(state, after, info, y)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
-        """Resample by the scores where needed, then move by the proposal."""
+        """Score, resample by the scores where needed, then move by the proposal and weigh (steps 1 to 3)."""
         resample_key, noise_key = keys_of(key)
-        score = _finite_scores(self._moves.score(model, state.particles, y, u, t))
-        parents = resample(resample_key, self.scheme, self.policy, state, score)
-        after, info = guided(noise_key, self._moves, model, parents, y, u, t)
-        info = with_innovation(info, unguided_innovation(noise_key, model, state, y, u, t))
-        return Ahead(after, info, lambda: unguided(noise_key, model, resample(resample_key, self.scheme, self.policy, state), u, t))
+        log_score = _finite_scores(self._importance_density.score(model, state.particles, y, u, t))
+        parents = resample(resample_key, self.scheme, self.policy, state, log_score)
+        after, info = propose_and_weigh(noise_key, self._importance_density, model, parents, y, u, t)
+        info = with_innovation(info, predicted_innovation(noise_key, model, state, y, u, t))
+        return Ahead(after, info, lambda: move_by_dynamics(noise_key, model, resample(resample_key, self.scheme, self.policy, state), u, t))
 
 
 def _finite_scores(score: jax.Array) -> jax.Array:

@@ -48,12 +48,12 @@ def update_weights(cloud: C, likelihood_of: Callable[[C], tuple[C, jax.Array, ja
     native = cloudwise.update_weights(cloud, likelihood_of)
     if native is not None:
         return native[0], info_of(native[1])
-    after, likelihood, max_log_likelihood = likelihood_of(cloud)
-    weights, info = weigh(cloud.log_weights, likelihood, max_log_likelihood)
+    after, log_likelihood, max_log_likelihood = likelihood_of(cloud)
+    weights, info = weigh(cloud.log_weights, log_likelihood, max_log_likelihood)
     return replace(after, log_weights=weights), info
 
 
-def by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
+def weigh_by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
     """Weigh particles that stay where they are by the likelihood of y alone; the key serves the alarm."""
 
     def likelihood_of(cloud: Cloud) -> tuple[Cloud, jax.Array, jax.Array]:
@@ -64,7 +64,7 @@ def by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: jax.Arra
     return after, with_innovation(info, alarm.of_cloud(key, sensor, cloud.particles[:, some], cloud.log_weights[some], y, u, t))
 
 
-def weigh_modes(rule: Rule, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:
+def correct_modes(rule: Rule, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:
     """Correct the Gaussian of each component by the sensor of its mode, and weigh it by its predictive density of y."""
     done = measured(rule, model, state, y, u, t)
     weights, info = weigh(state.log_weights, done.log_evidence, done.max_log_evidence)

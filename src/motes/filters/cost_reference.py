@@ -2,7 +2,8 @@
 
 1. Risk of each particle: R = lambda C + |y - h(f(x))|^q, what it would cost without noise. Select particles by phi(R), or let each be
    replaced by the neighbor of the lowest risk; a particle keeps its cost C, not its risk.
-2. Move each by f plus Gaussian steps; with `adaptive`, their size follows the steps that survived.
+2. Move each by f plus Gaussian steps; with `adaptive`, the factor s on their size follows the steps w that survived, in units of the scale:
+   s^2 <- ((t - 1) s^2 + |w|^2 / x) / t.
 3. Cost: C <- lambda C + |y - h(x)|^q. Weights are phi(C).
 """
 
@@ -106,7 +107,7 @@ class CostReferenceParticleFilter(LookAheadFilter):
         """Draw n particles from the initial law, at no cost."""
         return CostCloud.free(model.initial.sample(key, self.n), self.estimate == "minimum cost")
 
-    def _charged(self, model: StateSpaceModel, cloud: CostCloud, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
+    def _costs(self, model: StateSpaceModel, cloud: CostCloud, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
         """Costs of particles that stand at X `(x, n)`, above the least, and the least."""
         residual = model.sensor.residual(y, over_particles(model.sensor.mean, X, u, t))
         # what was not measured costs nothing; a prediction that is not a number costs all
@@ -117,15 +118,15 @@ class CostReferenceParticleFilter(LookAheadFilter):
         base = jnp.where(jnp.isfinite(lowest), lowest, 0)
         return costs - base, self.forgetting * cloud.least + base
 
-    def _taken_in(self, model: StateSpaceModel, cloud: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
-        costs, least = self._charged(model, cloud, cloud.particles, y, u, t)
-        masses = jnp.where(jnp.isfinite(costs), self.phi.log_mass(costs, least), jnp.nan)
-        weights, info = weigh(logspace.uniform_weights(self.n, masses.dtype), masses, jnp.full((), jnp.inf, masses.dtype))
+    def _weighed(self, model: StateSpaceModel, cloud: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
+        costs, least = self._costs(model, cloud, cloud.particles, y, u, t)
+        log_masses = jnp.where(jnp.isfinite(costs), self.phi.log_mass(costs, least), jnp.nan)
+        weights, info = weigh(logspace.uniform_weights(self.n, log_masses.dtype), log_masses, jnp.full((), jnp.inf, log_masses.dtype))
         return replace(cloud, log_weights=weights, costs=costs, least=least), replace(info, log_evidence=jnp.zeros_like(least))
 
     def update(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> tuple[CostCloud, Info]:
-        """Charge the particles for y."""
-        after, info = self._taken_in(model, state, y, u, t)
+        """Charge the particles for y (step 3)."""
+        after, info = self._weighed(model, state, y, u, t)
         return self.accept(state, after, info, y)
 
     def _selected(self, key: jax.Array, risks: jax.Array, least: jax.Array) -> jax.Array:
@@ -136,22 +137,25 @@ class CostReferenceParticleFilter(LookAheadFilter):
         return self.scheme.ancestors(key, logspace.normalize(self.phi.log_mass(risks, least))[0], self.n)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: CostCloud, y: jax.Array, u: Any, t: Any) -> Ahead:
-        """Select by risk, go to the next time t, and charge the particles for y."""
-        ahead = over_particles(model.dynamics.mean, state.particles, u, t)
-        risks, least = self._charged(model, state, ahead, y, u, t)
+        """Select by risk, go to the next time t, and charge the particles for y (steps 1 to 3)."""
+        # 1. risk and selection
+        predicted = over_particles(model.dynamics.mean, state.particles, u, t)
+        risks, least = self._costs(model, state, predicted, y, u, t)
         ancestors = self._selected(random.child(key, random.RESAMPLE), risks, least)
-        noise = random.normal(random.child(key, random.NOISE), ahead.shape, ahead.dtype)
+        # 2. move
+        noise = random.normal(random.child(key, random.NOISE), predicted.shape, predicted.dtype)
 
         def moved(cloud: CostCloud, centers: jax.Array) -> CostCloud:
             walk = cloud.spread * noise
-            steps, since = jnp.sum(walk**2, axis=0) / noise.shape[0], jnp.asarray(t, noise.dtype)
-            followed = jnp.sqrt(((since - 1) * cloud.spread**2 + steps) / since)
-            spread = jnp.where(t > SETTLING, followed, cloud.spread) if self.adaptive else cloud.spread
+            mean_square, time = jnp.sum(walk**2, axis=0) / noise.shape[0], jnp.asarray(t, noise.dtype)
+            adapted = jnp.sqrt(((time - 1) * cloud.spread**2 + mean_square) / time)
+            spread = jnp.where(t > SETTLING, adapted, cloud.spread) if self.adaptive else cloud.spread
             return replace(cloud, particles=centers + self._scales(model, cloud.particles, u, t) * walk, spread=spread)
 
-        after, info = self._taken_in(model, moved(state.chosen(ancestors), ahead[:, ancestors]), y, u, t)
+        # 3. cost
+        after, info = self._weighed(model, moved(state.chosen(ancestors), predicted[:, ancestors]), y, u, t)
         unselected = replace(state, ancestors=jnp.arange(self.n, dtype=jnp.int32))
-        return Ahead(after, info, lambda: moved(unselected, ahead).gathered(model.circular))
+        return Ahead(after, info, lambda: moved(unselected, predicted).gathered(model.circular))
 
     def _scales(self, model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Standard deviations of the steps, `(x, n)` or what broadcasts to it."""

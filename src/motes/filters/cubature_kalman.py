@@ -1,7 +1,10 @@
 """Cubature Kalman filter (Arasaratnam, Haykin 2009): moments by the third-degree spherical-radial rule, 2 x points of equal weight.
 
-Predict: mean and covariance of the dynamics over the points, plus noise. Correct: Kalman gain from the covariances of state and
-measurement over the points of the prediction. No parameters, and no covariance that is not one.
+1. Predict: mean and covariance of the dynamics over the points, plus noise.
+2. Correct: Kalman gain from the covariances of state and measurement over the points of the prediction.
+
+The steps are those of `OneGaussian` (gaussian.py) with the rule `Cubature` (gaussian/sigma_points.py). No parameters, and no
+covariance that is not one.
 """
 
 from motes.core.record import record

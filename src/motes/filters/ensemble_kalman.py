@@ -1,7 +1,7 @@
 """Ensemble Kalman filter (Evensen 1994): a Kalman correction whose covariances are those of n members.
 
 1. Predict: move each member by the dynamics, noise included, and spread the members about their mean by the inflation.
-2. Gain K = C_xy (C_yy + R)^-1, with the sample covariances of members x and their predicted measurements y.
+2. S = C_yy + R and the gain K = C_xy S^-1, with the sample covariances of members x and their predicted measurements y.
 3. Stochastic: x_i <- x_i + K (y + e_i - y_i) with e_i drawn from N(0, R) (Burgers, van Leeuwen, Evensen 1998). Deterministic: K moves the
    mean, and a smaller gain the deviations, so that the covariance is the same without draws (Whitaker, Hamill 2002, equation 10).
 """
@@ -79,14 +79,14 @@ class EnsembleKalmanFilter(Gated, TwoStageFilter):
         return Cloud.equal(model.initial.sample(key, self.n))
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
-        """Move each member to time t, and inflate."""
+        """Move each member to time t, and inflate (step 1)."""
         moved = replace(state, particles=model.dynamics.sample(random.child(key, random.NOISE), state.particles, u, t))
         members = moved.gathered(model.circular).particles
         middle = jnp.mean(members, axis=1, keepdims=True)
         return replace(state, particles=middle + self.inflation * (members - middle))
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Move the members by y."""
+        """Move the members by y (steps 2 and 3)."""
         sensor, X = model.sensor, state.particles
         middle = jnp.mean(X, axis=1)
         anchor = sensor.mean(middle, u, t)
@@ -98,22 +98,24 @@ class EnsembleKalmanFilter(Gated, TwoStageFilter):
         R = jnp.mean(R, axis=2) if R.ndim == 3 else R
         seen = measured_in(y, R)
         R = among(R, seen)
-        out, across = zeroed(off - shift[:, None], seen), X - middle[:, None]
-        share = max(self.n - 1, 1)
-        S = sums.by_blocks(linalg.product_transposed, out, out) / share + R
-        root, cross = linalg.cholesky(S), sums.by_blocks(linalg.product_transposed, out, across) / share
+        # 2. sample covariances, and the gain by a factor U of S
+        dY, dX = zeroed(off - shift[:, None], seen), X - middle[:, None]
+        degrees = max(self.n - 1, 1)
+        S = sums.by_blocks(linalg.product_transposed, dY, dY) / degrees + R
+        U, C_yx = linalg.cholesky(S), sums.by_blocks(linalg.product_transposed, dY, dX) / degrees
+        # 3. move the members
         if self.form == "stochastic":
-            gain = linalg.transpose(linalg.solve(root, cross))
-            pulls = zeroed(innovation, seen)[:, None] + self._perturbations(key, R, seen) - out
-            after = X + linalg.times_vector(gain, pulls)
+            K = linalg.transpose(linalg.solve(U, C_yx))
+            pulls = zeroed(innovation, seen)[:, None] + self._perturbations(key, R, seen) - dY
+            after = X + linalg.times_vector(K, pulls)
         else:
             # K = C_xy U^-T U^-1 and for deviations C_xy U^-T (U + V)^-1, with U and V the factors of S and R
-            half = linalg.solve_lower(root, cross)
-            moved = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root, zeroed(innovation, seen)))
-            less = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(root + linalg.cholesky(R), out))
+            half = linalg.solve_lower(U, C_yx)
+            moved = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(U, zeroed(innovation, seen)))
+            less = linalg.times_vector(linalg.transpose(half), linalg.solve_lower(U + linalg.cholesky(R), dY))
             after = X + moved[:, None] - less
-        density, max_log_evidence = log_normal(innovation, S, seen, jnp.abs(y), noiseless(R)), max_log_normal(innovation, S, seen)
-        info = single(Correction(None, density, max_log_evidence, jnp.sum(seen)))
+        log_evidence, max_log_evidence = log_normal(innovation, S, seen, jnp.abs(y), noiseless(R)), max_log_normal(innovation, S, seen)
+        info = single(Correction(None, log_evidence, max_log_evidence, jnp.sum(seen)))
         return replace(state, particles=after), replace(info, ess=jnp.full((), self.n, X.dtype))
 
     def _perturbations(self, key: jax.Array, R: jax.Array, seen: jax.Array) -> jax.Array:

@@ -1,8 +1,10 @@
 """Extended Kalman filter: the Kalman filter on the model linearized at its own estimate (Jacobians by automatic differentiation).
 
-Predict: the mean goes through f, the covariance through the slope F of f there: P <- F P F' + Q. Correct: condition on the innovation
-y - h(mean) with the slope H of h there. On a linear model it is the Kalman filter. With iterations the sensor is linearized again where
-the last correction led (Bell, Cathey 1993: Gauss-Newton steps towards the most probable state).
+1. Predict: the mean goes through f, the covariance through the slope F of f there: P <- F P F' + Q.
+2. Correct: condition on the innovation y - h(mean) with the slope H of h there. With iterations the sensor is linearized again where the
+   last correction led (Bell, Cathey 1993: Gauss-Newton steps towards the most probable state).
+
+The steps are those of `OneGaussian` (gaussian.py) with the rule `Taylor` (gaussian/taylor.py). On a linear model it is the Kalman filter.
 """
 
 from motes.core.record import record, static

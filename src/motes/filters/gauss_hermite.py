@@ -1,7 +1,9 @@
 """Gauss-Hermite filter (Ito, Xiong 2000): moments by Gauss-Hermite quadrature, degree^x points.
 
-Predict: mean and covariance of the dynamics over the points, plus noise. Correct: Kalman gain from the covariances of state and
-measurement over the points of the prediction.
+1. Predict: mean and covariance of the dynamics over the points, plus noise.
+2. Correct: Kalman gain from the covariances of state and measurement over the points of the prediction.
+
+The steps are those of `OneGaussian` (gaussian.py) with the rule `GaussHermite` (gaussian/sigma_points.py).
 """
 
 from motes.core.record import record, static

@@ -1,8 +1,10 @@
 """Gaussian filter (Ito, Xiong 2000): a Kalman filter that takes moments of the model's functions by any rule.
 
-Predict: mean and covariance of the dynamics over the Gaussian, plus noise. Correct: condition on y through the linear conditional that
-stands for the sensor over the predicted Gaussian. `KalmanFilter`, `ExtendedKalmanFilter`, `UnscentedKalmanFilter`, `CubatureKalmanFilter`
-and `GaussHermiteFilter` are this filter with one rule each.
+1. Predict: mean and covariance of the dynamics over the Gaussian, plus noise (`Rule.through`).
+2. Correct: condition on y through the linear conditional that stands for the sensor over the predicted Gaussian (`Rule.measured`).
+
+`KalmanFilter`, `ExtendedKalmanFilter`, `UnscentedKalmanFilter`, `CubatureKalmanFilter` and `GaussHermiteFilter` are this filter with one
+rule each.
 """
 
 from typing import Any
@@ -51,11 +53,11 @@ class OneGaussian(Gated):
         return Gaussian(model.initial.mean(), model.initial.cov())
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
-        """Move mean and covariance to time t."""
+        """Move mean and covariance to time t (step 1)."""
         return self.rule.through(model.dynamics, state, u, t)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
-        """Condition on y."""
+        """Condition on y (step 2)."""
         done = self.rule.measured(model.sensor, state, y, u, t)
         return done.law, single(done)
 

@@ -90,30 +90,30 @@ class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
         X = state.sample(random.child(key, random.INITIAL), self.n)
         return model.dynamics.sample(random.child(key, random.NOISE), X, u, t)
 
-    def _unweighed(self, model: StateSpaceModel, X: jax.Array) -> Gaussian:
+    def _predicted(self, model: StateSpaceModel, X: jax.Array) -> Gaussian:
         return _fitted(model, logspace.uniform_weights(self.n, X.dtype), X)
 
-    def _weighed(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
-        likelihood, max_log_likelihood = model.sensor.log_prob(y, X, u, t), model.sensor.max_log_prob(y, X, u, t)
-        weights, info = weigh(logspace.uniform_weights(self.n, X.dtype), likelihood, max_log_likelihood)
+    def _corrected(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
+        log_likelihood, max_log_likelihood = model.sensor.log_prob(y, X, u, t), model.sensor.max_log_prob(y, X, u, t)
+        weights, info = weigh(logspace.uniform_weights(self.n, X.dtype), log_likelihood, max_log_likelihood)
         some = X[:, alarm.some_of(self.n)]
         info = with_innovation(info, alarm.of_cloud(key, model.sensor, some, jnp.zeros_like(some[0]), y, u, t))
         # after a collapse the next particles are drawn anew, all of equal weight
         return _fitted(model, weights, X), replace(info, ess=jnp.where(info.collapsed, self.n, info.ess))
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
-        """Draw particles, move them, keep their moments."""
-        return self._unweighed(model, self._moved(key, model, state, u, t))
+        """Draw particles, move them, keep their moments (step 1)."""
+        return self._predicted(model, self._moved(key, model, state, u, t))
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
-        """Draw particles, weigh them by the likelihood of y, keep their moments."""
-        return self._weighed(key, model, state.sample(key, self.n), y, u, t)
+        """Draw particles, weigh them by the likelihood of y, keep their moments (steps 2 and 3)."""
+        return self._corrected(key, model, state.sample(key, self.n), y, u, t)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> Ahead:
-        """Draw particles, move them and weigh them themselves."""
+        """Draw particles, move them and weigh them themselves (steps 1 to 3)."""
         X = self._moved(random.child(key, random.PREDICT), model, state, u, t)
-        after, info = self._weighed(random.child(key, random.UPDATE), model, X, y, u, t)
-        return Ahead(after, info, lambda: self._unweighed(model, X))
+        after, info = self._corrected(random.child(key, random.UPDATE), model, X, y, u, t)
+        return Ahead(after, info, lambda: self._predicted(model, X))
 
 
 def _fitted(model: StateSpaceModel, log_weights: jax.Array, X: jax.Array) -> Gaussian:

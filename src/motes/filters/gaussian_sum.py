@@ -93,7 +93,7 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
                               type(getattr(part, "law", part)).__name__, 'Use form="I".')
         return model
 
-    def _split(self, model: StateSpaceModel) -> list[tuple[jax.Array, Conditional]]:
+    def _noise_components(self, model: StateSpaceModel) -> list[tuple[jax.Array, Conditional]]:
         """Components of the noise that this form splits: log weight, and the conditional with this noise alone."""
         part = getattr(model, NOISE_OF[self.form])
         law = getattr(part, "law", None)
@@ -104,7 +104,7 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
         return [(law.log_weights[k], replace(part, law=Gaussian(law.parts.center[:, k], covs[k]))) for k in range(len(covs))]
 
     def _copies(self, model: StateSpaceModel) -> int:
-        return 1 if self.form == "I" else len(self._split(model))
+        return 1 if self.form == "I" else len(self._noise_components(model))
 
     def ask(self, model: Any, u: Any) -> None:
         """Refuse a sensor without noise.
@@ -135,7 +135,7 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
         return replace(state.resampled(which), log_weights=logspace.normalize(heaviest)[0])
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Mixture, u: Any, t: Any) -> Mixture:
-        """Reduce the mixands, then move each by particles."""
+        """Reduce the mixands (step 1), then move each by particles (step 2)."""
         state = self._reduced(random.child(key, random.RESAMPLE), state)
         points = state.parts.sample_each(random.child(key, random.INITIAL), self.n)
         X = points.reshape(points.shape[0], -1)
@@ -146,8 +146,9 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
             copies = self._copies(model)
             log_weights = state.log_weights - jnp.log(jnp.asarray(copies, X.dtype))
             return Mixture(*jax.tree.map(lambda leaf: jnp.concatenate([leaf] * copies, axis=-1), (parts, log_weights)))
+        # 2. form II: one mixand for each component of the process noise
         found: list[Mixture] = []
-        for log_weight, part in self._split(model):
+        for log_weight, part in self._noise_components(model):
             moved = moments_each(equal, over_particles(part.mean, X, u, t).reshape(points.shape), model.circular)
             noise = matrix_over(part.cov, X, u, t)
             if noise.ndim == 3:
@@ -156,31 +157,32 @@ class GaussianSumParticleFilter(Gated, TwoStageFilter):
         return jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=-1), *found)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Mixture, y: jax.Array, u: Any, t: Any) -> tuple[Mixture, Info]:
-        """Weigh particles of each mixand by the likelihood of y; keep their moments and their mean weight."""
+        """Weigh particles of each mixand by the likelihood of y; keep their moments and their mean weight (step 3)."""
         points = state.parts.sample_each(key, self.n)
-        likelihood, max_log_likelihood = self._log_likelihoods(model, points, y, u, t)
-        before = state.log_weights - jnp.log(jnp.asarray(self.n, points.dtype))
-        joint, info = weigh(jnp.broadcast_to(before, points.shape[1:]).reshape(-1), likelihood.reshape(-1), max_log_likelihood.reshape(-1))
+        log_likelihood, max_log_likelihood = self._log_likelihoods(model, points, y, u, t)
+        before = jnp.broadcast_to(state.log_weights - jnp.log(jnp.asarray(self.n, points.dtype)), points.shape[1:])
+        joint, info = weigh(before.reshape(-1), log_likelihood.reshape(-1), max_log_likelihood.reshape(-1))
         # for the alarm, a few particles of each mixand
         some = points[:, alarm.some_of(self.n, -(-alarm.FEWEST // points.shape[2]))]
         log_weights = jnp.broadcast_to(state.log_weights, some.shape[1:]).reshape(-1)
         info = with_innovation(info, alarm.of_cloud(key, model.sensor, some.reshape(some.shape[0], -1), log_weights, y, u, t))
         joint = joint.reshape(points.shape[1:])
+        # the new weight of each mixand, and the weights of its particles within it
         log_weights = jax.nn.logsumexp(joint, axis=0)
         possible = jnp.isfinite(log_weights)
-        own = jnp.where(possible, joint - jnp.where(possible, log_weights, 0), -jnp.log(jnp.asarray(self.n, points.dtype)))
+        within = jnp.where(possible, joint - jnp.where(possible, log_weights, 0), -jnp.log(jnp.asarray(self.n, points.dtype)))
         # a mixand without any weight stays as predicted
-        parts = jax.tree.map(lambda new, old: jnp.where(possible, new, old), moments_each(own, points), state.parts)
+        parts = jax.tree.map(lambda new, old: jnp.where(possible, new, old), moments_each(within, points), state.parts)
         return Mixture(parts, log_weights), replace(info, ess=logspace.effective_size(log_weights))
 
     def _log_likelihoods(self, model: StateSpaceModel, points: jax.Array, y: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
         """Log likelihood of each particle and its maximum, `(n, mixands)`; copies of a mixand answer for one component each."""
-        split = self._split(model) if self.form == "III" else [(jnp.zeros((), points.dtype), model.sensor)]
+        split = self._noise_components(model) if self.form == "III" else [(jnp.zeros((), points.dtype), model.sensor)]
         found = []
         for (log_weight, part), some in zip(split, jnp.split(points, len(split), axis=-1), strict=True):
             X = some.reshape(some.shape[0], -1)
             share = log_weight + jnp.log(jnp.asarray(len(split), X.dtype))
             pair = part.log_prob(y, X, u, t), part.max_log_prob(y, X, u, t)
             found.append([share + jnp.broadcast_to(each, X.shape[-1:]).reshape(some.shape[1:]) for each in pair])
-        likelihood, max_log_likelihood = (jnp.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
-        return likelihood, max_log_likelihood
+        log_likelihood, max_log_likelihood = (jnp.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
+        return log_likelihood, max_log_likelihood

@@ -1,8 +1,8 @@
 """Interacting multiple models (Blom, Bar-Shalom 1988): one extended Kalman filter for each mode of a jump-Markov system.
 
-1. Mix: the law of x_{t-1} given the new mode j is the sum over modes i of p(s_{t-1} = i | s_t = j) N(m_i, P_i); its mean and covariance
-   are kept.
-2. Predict each mixed Gaussian by the dynamics of its mode; the probability of mode j is the sum over i of transition[i, j] p(i).
+1. Mix: p(s_t = j) = sum over modes i of transition[i, j] p(s_{t-1} = i); the law of x_{t-1} given s_t = j is the sum over i of
+   p(s_{t-1} = i | s_t = j) N(m_i, P_i), of which mean and covariance are kept.
+2. Predict each mixed Gaussian by the dynamics of its mode.
 3. Correct each by the sensor of its mode, and weigh the mode by the predictive density of y.
 
 Mixing is the one approximation for linear models. Where the modes agree on the state it costs nothing: without uncertain states the filter
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from motes.core import linalg
 from motes.core.record import record, replace
-from motes.filters.clouds import weigh_modes
+from motes.filters.clouds import correct_modes
 from motes.filters.gated import Gated
 from motes.filters.info import Info
 from motes.filters.interface import Guide, TwoStageFilter
@@ -81,20 +81,22 @@ class InteractingMultipleModel(Gated, TwoStageFilter):
         return ModeMixture(initial_gaussians(model), log_probabilities(model.initial_mode), modes, model.count)
 
     def predict(self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, u: Any, t: Any) -> ModeMixture:
-        """Mix, then move each mode."""
+        """Mix (step 1), then move each mode (step 2)."""
+        # 1. mix
         joint = state.log_weights[:, None] + model.log_transition(u, t)
         log_weights = jax.nn.logsumexp(joint, axis=0)
         possible = jnp.isfinite(log_weights)
-        mixing = jnp.where(possible, joint - jnp.where(possible, log_weights, 0), state.log_weights[:, None])
-        between = moments_each(mixing, jnp.broadcast_to(state.parts.center[..., None], (*state.parts.center.shape, model.count)))
+        log_mixing = jnp.where(possible, joint - jnp.where(possible, log_weights, 0), state.log_weights[:, None])
+        between = moments_each(log_mixing, jnp.broadcast_to(state.parts.center[..., None], (*state.parts.center.shape, model.count)))
         counted = jnp.where(jnp.isfinite(state.log_weights), state.parts.covariance, 0)
-        within = jnp.einsum("abi,ij->abj", counted, jnp.exp(mixing), precision=jax.lax.Precision.HIGHEST)
+        within = jnp.einsum("abi,ij->abj", counted, jnp.exp(log_mixing), precision=jax.lax.Precision.HIGHEST)
         center, cov = between.center, linalg.symmetric(between.covariance + within)
         mixed = [Gaussian(center[:, j, None], cov[..., j, None]) for j in range(model.count)]
+        # 2. predict
         return replace(state, parts=predicted(self.rule, model, mixed, u, t), log_weights=log_weights)
 
     def correct(
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
     ) -> tuple[ModeMixture, Info]:
-        """Condition each mode's Gaussian on y, and weigh the modes."""
-        return weigh_modes(self.rule, model, state, y, u, t)
+        """Condition each mode's Gaussian on y, and weigh the modes (step 3)."""
+        return correct_modes(self.rule, model, state, y, u, t)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, static
-from motes.filters.clouds import weigh_modes
+from motes.filters.clouds import correct_modes
 from motes.filters.gated import Gated
 from motes.filters.info import Info
 from motes.filters.interface import Guide, TwoStageFilter
@@ -92,7 +92,7 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         return tuple(sorted({model.index(state) for state in self.sampled}))
 
     def _hypotheses(self, key: jax.Array, model: JumpMarkovModel, parts: Gaussian, log_weights: jax.Array) -> ModeMixture:
-        """Draw the states to be drawn; parts `(x, m n)` and weights `(m, n)` come mode after mode."""
+        """Draw the states to be drawn (end of step 2); parts `(x, m n)` and weights `(m, n)` come mode after mode."""
         states = self._drawn_states(model)
         if states:
             parts = parts.pinned(states, random.normal(key, (len(states), parts.center.shape[-1]), parts.center.dtype))
@@ -102,12 +102,12 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     def init(self, key: jax.Array, model: JumpMarkovModel) -> ModeMixture:
         """Give each mode the Gaussian with the moments of its initial law: once, or n times where states are drawn."""
         parts = jax.tree.map(lambda leaf: jnp.repeat(leaf, self.n, axis=-1), initial_gaussians(model))
-        alike = logspace.uniform_weights(self.n, model.dtype)
-        among = alike if self.sampled else jnp.where(jnp.arange(self.n) == 0, jnp.zeros_like(alike), -jnp.inf)
+        equal = logspace.uniform_weights(self.n, model.dtype)
+        among = equal if self.sampled else jnp.where(jnp.arange(self.n) == 0, jnp.zeros_like(equal), -jnp.inf)
         return self._hypotheses(key, model, parts, log_probabilities(model.initial_mode)[:, None] + among)
 
-    def _kept(self, key: jax.Array, log_weights: jax.Array) -> Reduction:
-        """Choose n of the hypotheses."""
+    def _reduced(self, key: jax.Array, log_weights: jax.Array) -> Reduction:
+        """Choose n of the hypotheses (step 1)."""
         if not self.sampled:
             return reduced(key, log_weights, self.n)
 
@@ -119,8 +119,8 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         return jax.lax.cond(few, copied, lambda: reduced(key, log_weights, self.n))
 
     def predict(self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, u: Any, t: Any) -> ModeMixture:
-        """Bring the hypotheses down to n, and move each in every mode."""
-        ancestors, log_weights = self._kept(random.child(key, random.RESAMPLE), state.log_weights)
+        """Bring the hypotheses down to n (step 1), and move each in every mode (step 2)."""
+        ancestors, log_weights = self._reduced(random.child(key, random.RESAMPLE), state.log_weights)
         kept, log_weights = gradients.noticed((state.resampled(ancestors), log_weights))
         log_transition = model.log_transition(u, t)[kept.modes].T
         moved = predicted(self.rule, model, [kept.parts] * model.count, u, t)
@@ -129,5 +129,5 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     def correct(
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any
     ) -> tuple[ModeMixture, Info]:
-        """Weigh each hypothesis by its predictive density of y, and correct its Gaussian."""
-        return weigh_modes(self.rule, model, state, y, u, t)
+        """Weigh each hypothesis by its predictive density of y, and correct its Gaussian (step 3)."""
+        return correct_modes(self.rule, model, state, y, u, t)

@@ -1,6 +1,9 @@
 """Kalman filter (Kalman 1960): exact for linear models with Gaussian noise.
 
-Predict: mean <- A mean, P <- A P A' + Q. Correct: condition on y = H x + e (`Gaussian.corrected`, Joseph form).
+1. Predict: mean <- A mean, P <- A P A' + Q.
+2. Correct: condition on y = H x + e (`Gaussian.corrected`, Joseph form).
+
+The steps are those of `OneGaussian` (gaussian.py) with the rule `Linear` (gaussian/taylor.py).
 """
 
 from motes.core.record import record

@@ -1,11 +1,11 @@
 """Kalman-particle kernel filter (Dahia, Musso, Pham, Guibert 2004, equations 3 to 14): a cloud of small Gaussians.
 
 1. Start with kernels that are small in the nonlinear states only; in the others each holds the full initial covariance.
-2. Correct each kernel by the Kalman filter of the sensor linearized over it, and its weight by N(y - y_i; 0, H P H' + R).
-3. Predict each kernel by the dynamics linearized at its center; where their slope varies, by their plane through sigma points, with what it
+2. Predict each kernel by the dynamics linearized at its center; where their slope varies, by their plane through sigma points, with what it
    leaves unexplained added to the noise: the slope at a center may be far steeper than the dynamics are over the kernel.
-4. Every few steps, select kernels by weight where the weights are uneven (full resampling; otherwise partial), and split wide kernels:
+3. Every few steps, select kernels by weight where the weights are uneven (full resampling; otherwise partial), and split wide kernels:
    centers are drawn, covariances shrink, mean and covariance of the mixture stay (`SplitKernels`, or the paper's `CommonKernel`).
+4. Correct each kernel by the Kalman filter of the sensor linearized over it, and its weight by N(y - y_i; 0, H P H' + R).
 """
 
 from collections.abc import Callable
@@ -46,8 +46,8 @@ class LocalModel:
         initial: law of x_0.
         nonlinear: indices of the states in which kernels are small.
         linear: indices of the others.
-        steady: whether slope and noise of the dynamics are the same at every state.
-        plane: whether the slope of the sensor in the other states is.
+        affine_dynamics: whether slope and noise of the dynamics are the same at every state.
+        shared_sensor_slope: whether the slope of the sensor in the other states is.
         circular: indices of the states that are angles.
     """
 
@@ -56,8 +56,8 @@ class LocalModel:
     initial: Any
     nonlinear: tuple[int, ...] = static()
     linear: tuple[int, ...] = static()
-    steady: bool = static()
-    plane: bool = static()
+    affine_dynamics: bool = static()
+    shared_sensor_slope: bool = static()
     circular: tuple[int, ...] = static()
 
 
@@ -144,13 +144,13 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
             linear = tuple(sorted(set(range(size)) - {model.index(state) for state in self.nonlinear}))
         bends = traced.slope_pairs["dynamics"][:, :size, :size].any() or traced.noise_uses["dynamics"][:size].any()
         moving = varying(traced, linear, size).get("sensor slope")
-        plane = moving is None or not moving[:size].any()
+        shared_sensor_slope = moving is None or not moving[:size].any()
         nonlinear = tuple(i for i in range(size) if i not in linear)
-        about = (nonlinear, linear, not bends, plane, model.circular)
+        about = (nonlinear, linear, not bends, shared_sensor_slope, model.circular)
         return LocalModel(model.dynamics, model.sensor, model.initial, *about)  # type: ignore[arg-type]
 
     def init(self, key: jax.Array, model: LocalModel) -> Mixture:
-        """Draw n centers along the nonlinear states, the others following by regression, each with what is left of the covariance."""
+        """Draw n centers along the nonlinear states, the others by regression, each with what is left of the covariance (step 1)."""
         mean, cov = model.initial.mean(), model.initial.cov()
         factor = linalg.cholesky(linalg.take(linalg.take(cov, model.nonlinear), model.nonlinear, axis=1))
         along = linalg.transpose(linalg.solve_lower(factor, linalg.take(cov, model.nonlinear)))
@@ -164,31 +164,33 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         return Mixture(Gaussian(centers.astype(cov.dtype), kernels), uniform_weights(self.n, cov.dtype))
 
     def predict(self, key: jax.Array, model: LocalModel, state: Mixture, u: Any, t: Any) -> Mixture:
-        """Move the kernels; every few steps select and split them."""
+        """Move the kernels (step 2); every few steps select and split them (step 3)."""
         keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
         example = state.parts.center[:, 0]
-        bends = not model.steady and bool(model.nonlinear)
-        shared = _once(t, lambda: affine(model.dynamics, example, u, t)[1:]) if model.steady else None
+        regressed = not model.affine_dynamics and bool(model.nonlinear)
+        shared = _once(t, lambda: affine(model.dynamics, example, u, t)[1:]) if model.affine_dynamics else None
 
         def move(noise_key: jax.Array, law: Mixture) -> Mixture:
-            if bends:
+            if regressed:
                 return replace(law, parts=through_on(model.dynamics, model.nonlinear, law.parts, u, t))
             if shared is None:
                 return replace(law, parts=Taylor().through(model.dynamics, law.parts, u, t))
             return replace(law, parts=Linearized(model.dynamics.means(law.parts.center, u, t), *shared).over(law.parts))
 
-        def resampled(law: Mixture) -> Mixture:
+        def selected_and_split(law: Mixture) -> Mixture:
             return resample_and_move(keys, self.scheme, self.policy, law, self.kernels.fitted(law, model.nonlinear))
 
-        due = t % (self.every or (10 if model.steady else 1)) == 0
+        due = t % (self.every or (10 if model.affine_dynamics else 1)) == 0
+        # 2. predict; nothing is resampled
         moved = resample_and_move(keys, self.scheme, Never(), state, move).gathered(model.circular)
-        return jax.lax.cond(due, resampled, lambda law: law, moved)
+        # 3. select and split
+        return jax.lax.cond(due, selected_and_split, lambda law: law, moved)
 
     def correct(self, key: jax.Array, model: LocalModel, state: Mixture, y: jax.Array, u: Any, t: Any) -> tuple[Mixture, Info]:
-        """Correct each kernel by y, and weigh it by its predictive density of y."""
+        """Correct each kernel by y, and weigh it by its predictive density of y (step 4)."""
         sensor = model.sensor
         example = state.parts.center[:, 0]
-        shared = _once(t, lambda: slope_in(sensor, model.linear, example, u, t)) if model.plane else None
+        shared = _once(t, lambda: slope_in(sensor, model.linear, example, u, t)) if model.shared_sensor_slope else None
 
         def likelihood_of(law: Mixture) -> tuple[Mixture, jax.Array, jax.Array]:
             X, R = law.parts.center, matrix_over(sensor.Q, law.parts.center, u, t)
@@ -196,11 +198,11 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
                 cov = law.parts.covariance
                 factor = linalg.cholesky(linalg.take(linalg.take(cov, model.nonlinear), model.nonlinear, axis=1))
                 prediction, scaled_slope, unexplained = regressed_on(sensor, model.nonlinear, X, factor, u, t)
-                curved, R = unscaled(scaled_slope, factor), linalg.add(unexplained, R)
+                slope_nonlinear, R = unscaled(scaled_slope, factor), linalg.add(unexplained, R)
             else:
-                prediction, curved = sensor.means(X, u, t), slope_in(sensor, model.nonlinear, X, u, t)
-            straight = slope_in(sensor, model.linear, X, u, t) if shared is None else shared
-            parts = ((model.nonlinear, curved), (model.linear, straight))
+                prediction, slope_nonlinear = sensor.means(X, u, t), slope_in(sensor, model.nonlinear, X, u, t)
+            slope_linear = slope_in(sensor, model.linear, X, u, t) if shared is None else shared
+            parts = ((model.nonlinear, slope_nonlinear), (model.linear, slope_linear))
             done = law.parts.corrected_in_turn(sensor.residual(y, prediction), parts, R, measured_in(y, R))
             return replace(law, parts=done.law), done.log_evidence, done.max_log_evidence
 

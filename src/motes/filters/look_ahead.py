@@ -30,12 +30,12 @@ class Ahead(NamedTuple):
     Attributes:
         after: the law given the measurement.
         info: record of the step.
-        blind: gives the law at the same time without the measurement.
+        predicted: gives the law at the same time without the measurement.
     """
 
     after: Any
     info: Info
-    blind: Callable[[], Any]
+    predicted: Callable[[], Any]
 
 
 @record
@@ -55,9 +55,10 @@ class LookAheadFilter(Filter):
         """Go to the next time t and take in its measurement."""
         if not self.look_ahead:
             return super().step(key, model, state, y, u, t)  # type: ignore[safe-super]
-        after, info, blind = self.ahead(key, model, state, y, u, t)
+        after, info, predicted = self.ahead(key, model, state, y, u, t)  # step 1
         refused = info.collapsed | is_nothing(y)
-        before = blind() if self.gate is not None else jax.lax.cond(refused, blind, lambda: after)
+        # 2. once more without y
+        before = predicted() if self.gate is not None else jax.lax.cond(refused, predicted, lambda: after)
         return self.accept(before, after, info, y)
 
 
@@ -67,7 +68,7 @@ def keys_of(key: jax.Array) -> tuple[jax.Array, jax.Array]:
     return random.child(predict_key, random.RESAMPLE), random.child(predict_key, random.NOISE)
 
 
-def guided(
+def propose_and_weigh(
     key: jax.Array, proposal: Proposal, model: StateSpaceModel, parents: Cloud, y: jax.Array, u: Any, t: Any
 ) -> tuple[Cloud, Info]:
     """Move particles by a proposal that knows the measurement, and weigh them."""
@@ -77,12 +78,12 @@ def guided(
     return replace(parents, particles=moved, log_weights=weights), info
 
 
-def unguided(key: jax.Array, model: StateSpaceModel, cloud: Cloud, u: Any, t: Any) -> Cloud:
+def move_by_dynamics(key: jax.Array, model: StateSpaceModel, cloud: Cloud, u: Any, t: Any) -> Cloud:
     """Move particles by the dynamics, as if the measurement were not known."""
     return replace(cloud, particles=model.dynamics.sample(key, cloud.particles, u, t)).gathered(model.circular)
 
 
-def unguided_innovation(key: jax.Array, model: StateSpaceModel, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> Innovation:
+def predicted_innovation(key: jax.Array, model: StateSpaceModel, cloud: Cloud, y: jax.Array, u: Any, t: Any) -> Innovation:
     """Normalized innovation squared of y given some particles of the step before, moved as if it were not known."""
     some = alarm.some_of(cloud.log_weights.shape[0])
     X = model.dynamics.sample(random.child(key, random.NOISE), cloud.particles[:, some], u, t)

@@ -1,14 +1,15 @@
 """Marginalized (Rao-Blackwellized) particle filter (Karlsson, Schon, Gustafsson 2005, Alg. 1; Schon, Gustafsson, Nordlund 2005 for C != 0).
 
-The states x_k that are linear-Gaussian given the path of the others x_p are carried by one Kalman filter per particle.
+The states x_k that are linear-Gaussian given the path of the others x_p are carried by one Kalman filter per particle, of mean l and
+covariance P.
 
-1. Weigh each particle by N(y; h + C l, C P C' + R), determinant included, before its Kalman filter sees y; then correct l and P by y.
-2. Resample particles with their Gaussians (at the start of the next step).
-3. Draw x_p' from N(f_p + A_p l, A_p P A_p' + Q_p): the spread of x_k counts.
-4. Correct l and P by x_p' as if it were a measurement of x_k, then predict them. Correlated process noises are decorrelated first:
+1. Resample particles with their Gaussians where the policy says so; smooth x_p where a regularization is given.
+2. Draw x_p' from N(f_p + A_p l, A_p P A_p' + Q_p): the spread of x_k counts.
+3. Correct l and P by x_p' as if it were a measurement of x_k, then predict them. Correlated process noises are decorrelated first:
    with G = Q_kp Q_p^-1, x_k' = f_k + (A_k - G A_p) x_k + G (x_p' - f_p) + noise of covariance Q_k - G Q_pk (Gram-Schmidt).
+4. Weigh each particle by N(y; h + C l, C P C' + R), determinant included, before its Kalman filter sees y; then correct l and P by y.
 
-Where nothing in the covariance recursion depends on the particle, one P serves all.
+The paper begins with step 4. Where nothing in the covariance recursion depends on the particle, one P serves all.
 """
 
 from typing import Any
@@ -108,7 +109,7 @@ class MarginalizedParticleFilter(Gated, TwoStageFilter):
         return MarginalCloud(x_p, Gaussian(means, cov), equal, jnp.arange(self.n, dtype=jnp.int32), mixed.order)
 
     def predict(self, key: jax.Array, model: SplitModel, state: MarginalCloud, u: Any, t: Any) -> MarginalCloud:
-        """Resample where needed, move the particles, then correct and predict the Kalman part."""
+        """Resample where needed, move the particles, then correct and predict the Kalman part (steps 1 to 3)."""
         keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
         example = state.particles[:, 0]
         smooth = None
@@ -121,13 +122,13 @@ class MarginalizedParticleFilter(Gated, TwoStageFilter):
             return moved(noise_key, model, cloud, example, u, t)
 
         def predict_only(noise_key: jax.Array, cloud: MarginalCloud) -> MarginalCloud:
-            other = model.over("kalman", cloud.particles, example, u, t)
-            return replace(cloud, kalman=cloud.kalman.through(other.A, other.f, other.Q))
+            of_k = model.over("kalman", cloud.particles, example, u, t)
+            return replace(cloud, kalman=cloud.kalman.through(of_k.A, of_k.f, of_k.Q))
 
         return resample_and_move(keys, self.scheme, self.policy, state, move if state.particles.shape[0] else predict_only)
 
     def correct(self, key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.Array, u: Any, t: Any) -> tuple[MarginalCloud, Info]:
-        """Weigh each particle by its predictive density of y, and correct its Gaussian."""
+        """Weigh each particle by its predictive density of y, and correct its Gaussian (step 4)."""
         example = state.particles[:, 0]
 
         def likelihood_of(cloud: MarginalCloud) -> tuple[MarginalCloud, jax.Array, jax.Array]:
@@ -158,7 +159,7 @@ def _innovation(key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.
 def moved(
     key: jax.Array, model: SplitModel, cloud: MarginalCloud, example: jax.Array, u: Any, t: Any, first: jax.Array | None = None
 ) -> MarginalCloud:
-    """Move the particles, then correct and predict their Gaussians (steps 3 and 4).
+    """Move the particles, then correct and predict their Gaussians (steps 2 and 3).
 
     Args:
         key: of the noise.
@@ -169,32 +170,35 @@ def moved(
         t: its number.
         first: where the first particle goes `(p,)`, for conditional sequential Monte Carlo; None draws it like the others.
     """
-    own, other = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
-    angles = tuple(place for place in model.places if place < own.f.shape[0])
+    of_p, of_k = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
+    angles = tuple(place for place in model.places if place < of_p.f.shape[0])
     if model.drives:
-        expected = cloud.kalman.through(own.A, own.f, own.Q)
-        offset = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, own.f.shape[-1])
+        # 2. draw x_p' with the spread of x_k; 3. correct the Gaussians by it
+        expected = cloud.kalman.through(of_p.A, of_p.f, of_p.Q)
+        offset = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, of_p.f.shape[-1])
         if first is not None:
             offset = offset.at[:, 0].set(wrap(first - expected.center[:, 0], angles))
-        informed, there = cloud.kalman.corrected(offset, own.A, own.Q).law, expected.center + offset
+        informed, x_p = cloud.kalman.corrected(offset, of_p.A, of_p.Q).law, expected.center + offset
     else:
-        informed, there = cloud.kalman, Gaussian(own.f, own.Q).sample(key, own.f.shape[-1])
-        there = there if first is None else there.at[:, 0].set(near(first, own.f[:, 0], angles))
-    f, A, Q = _decorrelated(own, other, model.cross_cov(cloud.particles, example, u, t), there)
-    return replace(cloud, particles=there, kalman=informed.through(A, f, Q))
+        # 2. draw x_p', which tells nothing of x_k
+        informed, x_p = cloud.kalman, Gaussian(of_p.f, of_p.Q).sample(key, of_p.f.shape[-1])
+        x_p = x_p if first is None else x_p.at[:, 0].set(near(first, of_p.f[:, 0], angles))
+    # 3. predict the Gaussians
+    f, A, Q = _decorrelated(of_p, of_k, model.cross_cov(cloud.particles, example, u, t), x_p)
+    return replace(cloud, particles=x_p, kalman=informed.through(A, f, Q))
 
 
-def _decorrelated(own: Affine, other: Affine, cross_cov: jax.Array | None, moved: jax.Array) -> Affine:
-    """Give the Kalman part's dynamics once the noise of the particle part, moved - f_p - A_p x_k, is known (step 4)."""
+def _decorrelated(of_p: Affine, of_k: Affine, cross_cov: jax.Array | None, x_p: jax.Array) -> Affine:
+    """Give the Kalman part's dynamics once the noise of the particle part, x_p' - f_p - A_p x_k, is known (step 3)."""
     if cross_cov is None:
-        return other
-    factor = linalg.cholesky(own.Q)
+        return of_k
+    factor = linalg.cholesky(of_p.Q)
     aligned = cross_cov if cross_cov.ndim >= factor.ndim else cross_cov[..., None]
     G = linalg.transpose(linalg.solve(factor, aligned))
     return Affine(
-        linalg.add_vectors(linalg.times_vector(G, moved - own.f), other.f),
-        linalg.add(other.A, -linalg.product(G, own.A)),
-        linalg.add(other.Q, -linalg.symmetric(linalg.product(G, aligned))),
+        linalg.add_vectors(linalg.times_vector(G, x_p - of_p.f), of_k.f),
+        linalg.add(of_k.A, -linalg.product(G, of_p.A)),
+        linalg.add(of_k.Q, -linalg.symmetric(linalg.product(G, aligned))),
     )
 
 

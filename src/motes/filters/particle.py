@@ -14,10 +14,10 @@ from motes.core.record import record, replace, static
 from motes.filters.clouds import resample_and_move
 from motes.filters.info import Info, with_innovation
 from motes.filters.interface import Guide, TwoStageFilter
-from motes.filters.look_ahead import Ahead, LookAheadFilter, guided, keys_of, unguided, unguided_innovation
+from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of, move_by_dynamics, predicted_innovation, propose_and_weigh
 from motes.filters.needs import as_particle_model
 from motes.filters.proposals import Proposal, as_proposal
-from motes.filters.sharp import ask_noise, conditions_exactly, first_weighed
+from motes.filters.sharp import ask_noise, conditions_exactly, weigh_or_redraw
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.models.state_space import StateSpaceModel
@@ -65,7 +65,7 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
             MotesError: n is not a positive whole number, or another parameter has the wrong kind.
         """
         checks.positive_integer("ParticleFilter n", self.n)
-        _ = self._moves
+        _ = self._importance_density
 
     @property
     def look_ahead(self) -> bool:  # type: ignore[override]
@@ -73,7 +73,7 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
         return self.proposal is not None
 
     @property
-    def _moves(self) -> Proposal:
+    def _importance_density(self) -> Proposal:
         return as_proposal("ParticleFilter proposal", self.proposal)
 
     def prepare(self, model: Any, u: Any) -> StateSpaceModel:
@@ -83,7 +83,7 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
             MotesError: one is missing.
         """
         model = as_particle_model("ParticleFilter", model, transition_density=isinstance(self.proposal, Conditional))
-        self._moves.check("ParticleFilter", model, u)
+        self._importance_density.check("ParticleFilter", model, u)
         return model
 
     def ask(self, model: Any, u: Any) -> None:
@@ -92,14 +92,14 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
         Raises:
             MotesError: it has none in some component.
         """
-        ask_noise(type(self).__name__, model, lambda: not conditions_exactly(self._moves, model))
+        ask_noise(type(self).__name__, model, lambda: not conditions_exactly(self._importance_density, model))
 
     def init(self, key: jax.Array, model: StateSpaceModel) -> Cloud:
         """Draw n particles from the initial law."""
         return Cloud.equal(model.initial.sample(key, self.n))
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
-        """Resample where needed, then move by the dynamics."""
+        """Resample where needed, then move by the dynamics (steps 1 and 2)."""
 
         def move(noise_key: jax.Array, cloud: Cloud) -> Cloud:
             return replace(cloud, particles=model.dynamics.sample(noise_key, cloud.particles, u, t))
@@ -108,13 +108,13 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
         return resample_and_move(keys, self.scheme, self.policy, state, move)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Weigh the particles by the likelihood of y."""
-        return first_weighed(key, self._moves, model, state, y, u, t)
+        """Weigh the particles by the likelihood of y (step 3)."""
+        return weigh_or_redraw(key, self._importance_density, model, state, y, u, t)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
-        """Resample where needed, then move by the proposal."""
+        """Resample where needed, then move by the proposal and weigh (steps 1 to 3)."""
         resample_key, noise_key = keys_of(key)
         parents = resample(resample_key, self.scheme, self.policy, state)
-        after, info = guided(noise_key, self._moves, model, parents, y, u, t)
-        info = with_innovation(info, unguided_innovation(noise_key, model, parents, y, u, t))
-        return Ahead(after, info, lambda: unguided(noise_key, model, parents, u, t))
+        after, info = propose_and_weigh(noise_key, self._importance_density, model, parents, y, u, t)
+        info = with_innovation(info, predicted_innovation(noise_key, model, parents, y, u, t))
+        return Ahead(after, info, lambda: move_by_dynamics(noise_key, model, parents, u, t))

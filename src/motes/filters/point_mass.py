@@ -1,6 +1,7 @@
 """Point-mass filter: Bayes' recursion on a grid of one or two dimensions (Bucy, Senne 1971); the exact answer other filters are held to.
 
-Predict: each node's new weight is the sum over all nodes of weight times transition density. Correct: times the likelihood.
+1. Predict: each node's new weight is the sum over all nodes of weight times transition density.
+2. Correct: multiply each weight by the likelihood of y, and normalize.
 
 The predicted weights times the volume of a cell sum to one less what has left the grid. The law is that of a state on the grid, with
 weights that sum to one; the likelihood counts what has left as explaining nothing, so that it is too small by no more than that explains.
@@ -129,33 +130,34 @@ class PointMassFilter(TwoStageFilter):
         return self._gridded(model, state, model.initial_log_prob(nodes.particles), jnp.any(jnp.array(exact, bool)))
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: GridCloud, u: Any, t: Any) -> GridCloud:
-        """Sum over all transitions."""
+        """Sum over all transitions (step 1)."""
         points = state.particles
 
         def arriving(node: jax.Array) -> jax.Array:
             return jax.nn.logsumexp(model.dynamics.log_prob(node, points, u, t) + state.log_weights)
 
         weights = pairs.against_all(arriving, points.T, points.shape[-1])
+        # dynamics without noise in some direction miss the nodes
         parts, states = [model.dynamics], points
         if isinstance(model.dynamics, SwitchingDynamics):
             parts, states = model.dynamics.parts, points[:-1]
-        found = [_noise(part, states, u, t) for part in parts if isinstance(part, AdditiveGaussian)]
-        some, still = (jnp.stack(each) for each in zip(*found, strict=True)) if found else (jnp.zeros(1, bool),) * 2
-        misses = jnp.any(some) & ~(jnp.all(still) & (len(found) == len(parts)))
-        return self._gridded(model, state, jnp.where(misses, jnp.nan, weights), jnp.any(some))
+        found = [_noise_gaps(part, states, u, t) for part in parts if isinstance(part, AdditiveGaussian)]
+        missing, still = (jnp.stack(each) for each in zip(*found, strict=True)) if found else (jnp.zeros(1, bool),) * 2
+        misses = jnp.any(missing) & ~(jnp.all(still) & (len(found) == len(parts)))
+        return self._gridded(model, state, jnp.where(misses, jnp.nan, weights), jnp.any(missing))
 
     def correct(
         self, key: jax.Array, model: StateSpaceModel, state: GridCloud, y: jax.Array, u: Any, t: Any
     ) -> tuple[GridCloud, Info]:
-        """Weigh the nodes by the likelihood of y; what has left the grid explains nothing of it."""
-        likelihood = model.sensor.log_prob(y, state.particles, u, t)
-        weights, info = weigh(state.log_weights, likelihood, model.sensor.max_log_prob(y, state.particles, u, t))
+        """Weigh the nodes by the likelihood of y; what has left the grid explains nothing of it (step 2)."""
+        log_likelihood = model.sensor.log_prob(y, state.particles, u, t)
+        weights, info = weigh(state.log_weights, log_likelihood, model.sensor.max_log_prob(y, state.particles, u, t))
         found = alarm.of_cloud(key, model.sensor, state.particles, state.log_weights, y, u, t)
         info = replace(with_innovation(info, found), log_evidence=info.log_evidence + jnp.log(state.held), lost=state.lost)
         return replace(state, log_weights=weights, held=jnp.ones_like(state.held)), info
 
 
-def _noise(dynamics: AdditiveGaussian, points: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
+def _noise_gaps(dynamics: AdditiveGaussian, points: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
     """Tell whether a step has no noise in some direction, and whether it has none at all and leaves the nodes `(x, n)` where they are."""
     without = noiseless(matrix_over(dynamics.Q, points, u, t))
     still = jnp.max(jnp.abs(dynamics.means(points, u, t) - points)) <= slack(points.dtype) * jnp.max(jnp.abs(points))

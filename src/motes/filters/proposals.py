@@ -1,9 +1,13 @@
 """Importance densities q(x_t | x_{t-1}, y_t): where particles go once the measurement is known (Doucet, Godsill, Andrieu 2000).
 
-Local proposals replace the model about each particle by a linear-Gaussian one in the normal numbers v of its step x' = f(x) + L v,
-L L' = Q: y is about h + T v + e with e of covariance R, and v is drawn given y. They never leave the span of the process noise, so that a
-singular Q, a state without noise, needs nothing of its own: densities are those of v, and a number v_i that moves nothing has the same
-density before and after.
+A local proposal works in the normal numbers v of a particle's step x' = f(x) + L v, L L' = Q:
+
+1. Replace the model about each particle by a linear-Gaussian one: y is about h + T v + e, e of covariance R.
+2. Draw v given y, and move the particle to f(x) + L v.
+3. Multiply the weight by p(y | x') p(v) / q(v), where p(v) / q(v) is the local evidence N(y; h, T T' + R) over N(y; h + T v, R).
+
+It never leaves the span of the process noise, so that a singular Q, a state without noise, needs nothing of its own: densities are those
+of v, and a number v_i that moves nothing has the same density before and after.
 """
 
 from abc import ABC, abstractmethod
@@ -84,23 +88,23 @@ class GivenProposal(Proposal):
 
     def proposed(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Proposed:
         """See `Proposal`."""
-        own = (users(u), value_of(y))
-        moved = self.law.sample(key, X, own, t)
-        proposed = self.law.log_prob(moved, X, own, t)
-        likelihood = model.sensor.log_prob(y, moved, u, t) + model.dynamics.log_prob(moved, X, u, t) - proposed
-        max_log_weight = model.sensor.max_log_prob(y, moved, u, t) + model.dynamics.max_log_prob(moved, X, u, t) - proposed
-        return Proposed(moved, likelihood, max_log_weight)
+        inputs = (users(u), value_of(y))
+        moved = self.law.sample(key, X, inputs, t)
+        log_q = self.law.log_prob(moved, X, inputs, t)
+        log_weight = model.sensor.log_prob(y, moved, u, t) + model.dynamics.log_prob(moved, X, u, t) - log_q
+        max_log_weight = model.sensor.max_log_prob(y, moved, u, t) + model.dynamics.max_log_prob(moved, X, u, t) - log_q
+        return Proposed(moved, log_weight, max_log_weight)
 
 
 class Local(NamedTuple):
     """The model about each particle: x' = center + spread v, and y = prediction + slope v + e, with v standard normal.
 
     Attributes:
-        center: `(x, n)`.
-        spread: lower factor of the process noise covariance, `(x, x, *n)`.
-        innovation: y less its prediction, `(y, n)`.
-        slope: slope in v, `(y, x, *n)`.
-        noise: covariance of e, `(y, y, *n)`.
+        center: f(x), `(x, n)`.
+        spread: L, lower factor of the process noise covariance, `(x, x, *n)`.
+        innovation: y - h, `(y, n)`.
+        slope: T, slope in v, `(y, x, *n)`.
+        noise: R, covariance of e, `(y, y, *n)`.
         seen: components of y that count, `(y,)`.
         size: how large the numbers are whose difference the innovation is, `(y,)`.
     """
@@ -119,7 +123,7 @@ class Local(NamedTuple):
         density = log_normal(self.innovation, cov, self.seen, self.size, noiseless(among(self.noise, self.seen)))
         return density, max_log_normal(self.innovation, cov, self.seen)
 
-    def rest(self, v: jax.Array) -> jax.Array:
+    def residual(self, v: jax.Array) -> jax.Array:
         """What v `(x, n)` leaves of the innovation, `(y, n)`."""
         return self.innovation - linalg.times_vector(self.slope, v)
 
@@ -129,7 +133,7 @@ class Local(NamedTuple):
         numbers = random.normal(key, (size + self.innovation.shape[0], n), self.center.dtype)
         v, e = numbers[:size], linalg.times_vector(linalg.cholesky(self.noise), numbers[size:])
         unit = jnp.eye(size, dtype=v.dtype)
-        return Gaussian(v, unit).corrected(self.rest(v) - e, self.slope, self.noise, self.seen).law.center
+        return Gaussian(v, unit).corrected(self.residual(v) - e, self.slope, self.noise, self.seen).law.center
 
     def moved(self, v: jax.Array) -> jax.Array:
         """Return x', `(x, n)`."""
@@ -159,10 +163,13 @@ class LocalProposal(Proposal):
 
     def proposed(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Proposed:
         """See `Proposal`; p(v) / q(v) is the local evidence over the local likelihood."""
+        # 1. local model
         local = self.about(model, X, y, u, t)
+        # 2. draw and move
         v = local.drawn(key)
         moved = local.moved(v)
-        ratio = local.evidence()[0] - log_normal(local.rest(v), local.noise, local.seen, local.size)
+        # 3. weight
+        ratio = local.evidence()[0] - log_normal(local.residual(v), local.noise, local.seen, local.size)
         max_log_weight = model.sensor.max_log_prob(y, moved, u, t) + 0.5 * jnp.sum(v**2, axis=0) + ratio
         return Proposed(moved, model.sensor.log_prob(y, moved, u, t) + ratio, max_log_weight)
 
@@ -193,7 +200,7 @@ class OptimalProposal(LocalProposal):
 
     def about(self, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Local:
         """See `LocalProposal`."""
-        return _by_slope(model, X, y, u, t)
+        return _linearized(model, X, y, u, t)
 
     def proposed(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Proposed:
         """See `Proposal`."""
@@ -211,7 +218,7 @@ class ExtendedKalmanProposal(LocalProposal):
 
     def about(self, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Local:
         """See `LocalProposal`."""
-        return _by_slope(model, X, y, u, t)
+        return _linearized(model, X, y, u, t)
 
 
 @record
@@ -263,7 +270,7 @@ def _gaussian(sensor: Conditional, y: jax.Array) -> tuple[AdditiveGaussian, jax.
     return AdditiveGaussian(sensor.mean, jnp.where(known[:, None] & known, cov, 0), sensor.angles), known & ~jnp.isnan(y)
 
 
-def _by_slope(model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Local:
+def _linearized(model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Local:
     sensor, seen = _gaussian(model.sensor, y)
     center, spread = _step(model, X, u, t)
     slope = matrix_over(lambda x, u, t: affine(sensor, x, u, t).slope, center, u, t)

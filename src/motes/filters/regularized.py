@@ -2,11 +2,10 @@
 
 1. Resample where the policy says so.
 2. "post": add a draw of a small kernel to each resampled particle, then move it by the dynamics. "pre": the other way round, so that the
-   predicted cloud is smoothed; its correction is by weights as ever, not by rejection.
+   predicted cloud is smoothed; its correction is by weights as ever, not by rejection. "metropolis": move it and add nothing.
 3. Weigh by p(y | x).
-
-"metropolis" adds nothing in step 2. After step 3 the kernel proposes x* for each particle, which replaces x with probability
-min(1, p(y | x*) p(x* | before) / (p(y | x) p(x | before))): the law stays that of the particle filter, without bias from the kernel.
+4. "metropolis": the kernel proposes x* for each particle, which replaces x with probability
+   min(1, p(y | x*) p(x* | before) / (p(y | x) p(x | before))): the law stays that of the particle filter, without bias from the kernel.
 """
 
 from typing import Any
@@ -16,10 +15,10 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.filters.clouds import by_likelihood, resample_and_move
+from motes.filters.clouds import resample_and_move, weigh_by_likelihood
 from motes.filters.info import Info
 from motes.filters.interface import Guide, TwoStageFilter
-from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of, unguided
+from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of, move_by_dynamics
 from motes.filters.needs import as_particle_model
 from motes.filters.sharp import ask_noise
 from motes.laws.cloud import Cloud
@@ -102,7 +101,7 @@ class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
         return Cloud.equal(model.initial.sample(key, self.n))
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Cloud, u: Any, t: Any) -> Cloud:
-        """Resample where needed, move by the dynamics, and smooth what was resampled before or after."""
+        """Resample where needed, move by the dynamics, and smooth what was resampled before or after (steps 1 and 2)."""
         keys = (random.child(key, random.RESAMPLE), random.child(key, random.NOISE))
         needed = self.policy.needed(state.log_weights)
         smooth = self.regularization.fitted(state.log_weights, state.particles, needed) if self.form == "post" else None
@@ -111,36 +110,42 @@ class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
             X = cloud.particles if smooth is None else smooth(random.child(noise_key, random.NOISE), cloud.particles)
             return replace(cloud, particles=model.dynamics.sample(noise_key, X, u, t))
 
+        # 1. resample; 2. move, in the form "post" what was smoothed
         moved = resample_and_move(keys, self.scheme, self.policy, state, move)
         if self.form == "post":
             return moved
+        # 2. "pre": smooth what was moved
         moved = moved.gathered(model.circular)
         smooth = self.regularization.fitted(moved.log_weights, moved.particles, needed)
         return replace(moved, particles=smooth(random.child(keys[1], random.NOISE), moved.particles))
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> tuple[Cloud, Info]:
-        """Weigh the particles by the likelihood of y."""
-        return by_likelihood(key, model.sensor, state, y, u, t)
+        """Weigh the particles by the likelihood of y (step 3)."""
+        return weigh_by_likelihood(key, model.sensor, state, y, u, t)
 
     def ahead(self, key: jax.Array, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any) -> Ahead:
-        """Resample where needed, move by the dynamics, weigh, and let the kernel propose."""
+        """Resample where needed, move by the dynamics, weigh, and let the kernel propose (steps 1 to 4)."""
         resample_key, noise_key = keys_of(key)
         needed = self.policy.needed(state.log_weights)
         # its covariance is that of the past: proposals that knew the particles they move would not be symmetric
         smooth = self.regularization.fitted(state.log_weights, state.particles, needed)
+        # 1. resample
         parents = resample(resample_key, self.scheme, self.policy, state)
         cloudwise.left_to_jax("move", parents, "a Metropolis step takes particles back")
-        blind = unguided(noise_key, model, parents, u, t)
-        after, info = self.correct(key, model, blind, y, u, t)
+        # 2. move
+        moved = move_by_dynamics(noise_key, model, parents, u, t)
+        # 3. weigh
+        after, info = self.correct(key, model, moved, y, u, t)
 
+        # 4. propose, and accept or stay
         def log_target(X: jax.Array) -> jax.Array:
             return model.sensor.log_prob(y, X, u, t) + model.dynamics.log_prob(X, parents.particles, u, t)
 
-        proposed = smooth(random.child(noise_key, random.NOISE), blind.particles)
+        proposed = smooth(random.child(noise_key, random.NOISE), moved.particles)
         uniform = random.uniform(random.child(key, random.UPDATE), (self.n,), proposed.dtype)
-        accepted = jnp.log(1 - uniform) < log_target(proposed) - log_target(blind.particles)
+        accepted = jnp.log(1 - uniform) < log_target(proposed) - log_target(moved.particles)
         accepted &= _noisy_everywhere(model, parents.particles, u, t)
-        return Ahead(replace(after, particles=jnp.where(accepted, proposed, blind.particles)), info, lambda: blind)
+        return Ahead(replace(after, particles=jnp.where(accepted, proposed, moved.particles)), info, lambda: moved)
 
 
 def _noisy_everywhere(model: StateSpaceModel, X: jax.Array, u: Any, t: Any) -> jax.Array | bool:

@@ -9,9 +9,9 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.record import replace
-from motes.filters.clouds import by_likelihood
+from motes.filters.clouds import weigh_by_likelihood
 from motes.filters.info import Info
-from motes.filters.look_ahead import guided
+from motes.filters.look_ahead import propose_and_weigh
 from motes.filters.proposals import OptimalProposal, Proposal
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional
@@ -97,7 +97,7 @@ def conditions_exactly(proposal: Proposal, model: Any) -> bool:
     return isinstance(proposal, OptimalProposal) and isinstance(getattr(model, "initial", None), Gaussian)
 
 
-def first_weighed(
+def weigh_or_redraw(
     key: jax.Array, proposal: Proposal, model: StateSpaceModel, state: Cloud, y: jax.Array, u: Any, t: Any
 ) -> tuple[Cloud, Info]:
     """Weigh particles by the likelihood of y; where it has no noise in some component, draw those of step 0 anew given y.
@@ -106,7 +106,7 @@ def first_weighed(
     """
 
     def weighed() -> tuple[Cloud, Info]:
-        return by_likelihood(key, model.sensor, state, y, u, t)
+        return weigh_by_likelihood(key, model.sensor, state, y, u, t)
 
     if not conditions_exactly(proposal, model):
         return weighed()
@@ -114,4 +114,4 @@ def first_weighed(
     from_mean = replace(model, dynamics=AdditiveGaussian(lambda x, u, t: mean, cov))
     sharp = jnp.any(noiseless(model.sensor.cov(mean, u, t)))
     noise_key = random.child(key, random.NOISE)
-    return jax.lax.cond(sharp & (t == 0), lambda: guided(noise_key, proposal, from_mean, state, y, u, t), weighed)
+    return jax.lax.cond(sharp & (t == 0), lambda: propose_and_weigh(noise_key, proposal, from_mean, state, y, u, t), weighed)

@@ -1,7 +1,9 @@
 """Square-root Kalman filter (Potter 1963; Kailath, Sayed, Hassibi 2000, chapter 12): the Kalman filter on a factor of the covariance.
 
-Predict: P = L L' goes over to the triangle of [A L, Q^1/2]. Correct: by the triangle of [R^1/2, H L; 0, L]. No covariance is formed, so
-that none can become indefinite; it works where variances differ by more than the digits of float32 can hold.
+1. Predict: P = L L' goes over to the triangle of [A L, Q^1/2] (`FactoredGaussian.moved`).
+2. Correct: by the triangle of [R^1/2, H L; 0, L] (`FactoredGaussian.corrected`).
+
+No covariance is formed, so that none can become indefinite; it works where variances differ by more than the digits of float32 can hold.
 """
 
 from typing import Any
@@ -53,14 +55,14 @@ class SquareRootKalmanFilter(Gated, TwoStageFilter):
         return FactoredGaussian.of(model.initial)
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: FactoredGaussian, u: Any, t: Any) -> FactoredGaussian:
-        """Move mean and factor to time t."""
+        """Move mean and factor to time t (step 1)."""
         return state.moved(*affine(model.dynamics, state.center, u, t))
 
     def correct(
         self, key: jax.Array, model: StateSpaceModel, state: FactoredGaussian, y: jax.Array, u: Any, t: Any
     ) -> tuple[FactoredGaussian, Info]:
-        """Condition on y."""
-        prediction, slope, noise = affine(model.sensor, state.center, u, t)
-        seen = measured_in(y, noise)
-        done = state.corrected(model.sensor.residual(y, prediction), slope, noise, seen)
+        """Condition on y (step 2)."""
+        prediction, H, R = affine(model.sensor, state.center, u, t)
+        seen = measured_in(y, R)
+        done = state.corrected(model.sensor.residual(y, prediction), H, R, seen)
         return done.law, single(done._replace(count=jnp.sum(seen)))

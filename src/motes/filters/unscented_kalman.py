@@ -1,7 +1,9 @@
 """Unscented Kalman filter (Julier, Uhlmann 1997; scaled form of Wan, van der Merwe 2000): 2 x + 1 sigma points in place of a Jacobian.
 
-Predict: mean and covariance of the dynamics over the sigma points, plus noise. Correct: Kalman gain from the covariances of state and
-measurement over the sigma points of the prediction.
+1. Predict: mean and covariance of the dynamics over the sigma points, plus noise.
+2. Correct: Kalman gain from the covariances of state and measurement over the sigma points of the prediction.
+
+The steps are those of `OneGaussian` (gaussian.py) with the rule `Unscented` (gaussian/sigma_points.py).
 """
 
 from motes.core.record import record, static

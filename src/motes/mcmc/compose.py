@@ -36,7 +36,7 @@ class Compound(Kernel):
         """Return the memories of all."""
         return tuple(kernel.init_kernel_state(log_density, position) for kernel in self.kernels)
 
-    def one(self, place: int, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
+    def step_of(self, place: int, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make a step of one kernel."""
         inner = replace(state, kernel_state=state.kernel_state[place])
         after, info = self.kernels[place].step(random.step_key(key, place), log_density, inner, t)
@@ -75,7 +75,7 @@ class Cycle(Compound):
         """Make a step of each."""
         infos = []
         for place in range(len(self.kernels)):
-            state, info = self.one(place, key, log_density, state, t)
+            state, info = self.step_of(place, key, log_density, state, t)
             infos.append(info)
         return state, Info.joined(infos)
 
@@ -118,7 +118,7 @@ class Mix(Compound):
 
         def branch(place: int) -> Any:
             def stepped(state: State) -> tuple[State, Info]:
-                after, info = self.one(place, key, log_density, state, t)
+                after, info = self.step_of(place, key, log_density, state, t)
                 return after, Info.joined([*map(Info.none, sizes[:place]), info, *map(Info.none, sizes[place + 1 :])])
 
             return stepped

@@ -91,12 +91,12 @@ class GeneralizedSampler(Kernel):
 
     def log_stationary(self, position: Position) -> jax.Array:
         """Log of q_x, `(m,)`: the probabilities on Phi(x) that Q leaves as they are."""
-        can = self.phi(position)
-        unit = jnp.eye(can.shape[0])
-        Q = jnp.exp(jax.vmap(lambda i: self.q(i, position))(jnp.arange(can.shape[0])))
+        allowed = self.phi(position)
+        unit = jnp.eye(allowed.shape[0])
+        Q = jnp.exp(jax.vmap(lambda i: self.q(i, position))(jnp.arange(allowed.shape[0])))
         # q (1 - Q + J) = 1', J all ones, has q = q Q with sum 1 for its only solution, also where Q is periodic
-        system = jnp.where(can[:, None] & can, unit - Q + 1, unit)
-        return jnp.log(jnp.maximum(lapack.inverse(system.T) @ can.astype(system.dtype), 0))
+        system = jnp.where(allowed[:, None] & allowed, unit - Q + 1, unit)
+        return jnp.log(jnp.maximum(lapack.inverse(system.T) @ allowed.astype(system.dtype), 0))
 
     def _log_weights(self, log_density: LogDensity, orbit: Orbit) -> tuple[jax.Array, jax.Array]:
         """Log of p(z) q_z(k) |dz/dx| and log p(z) of each pair of an orbit, `(c,)` both."""
@@ -107,7 +107,9 @@ class GeneralizedSampler(Kernel):
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make a Q step and an R step."""
         x = state.position
+        # 1. Q step
         m = draw(random.child(key, random.PREDICT), self.q(state.kernel_state, x), 1)[0]
+        # 2. R step
         r_key = random.child(key, random.UPDATE)
         if callable(self.r):
             k, z = self.r(r_key, m, x)
@@ -124,23 +126,23 @@ class GeneralizedSampler(Kernel):
             count = weights.shape[0]
             other = (random.uniform(random.child(r_key, 0), (), jnp.float32) * (count - 1)).astype(jnp.int32)
             other = other + (other >= own)
-            taken = jnp.log(random.uniform(random.child(r_key, 1), (), weights.dtype)) < weights[other] - weights[own]
-            chosen = jnp.where(taken, other, own)
+            accepted = jnp.log(random.uniform(random.child(r_key, 1), (), weights.dtype)) < weights[other] - weights[own]
+            chosen = jnp.where(accepted, other, own)
         z = jax.tree.map(lambda leaf: leaf[chosen], orbit.points)
         after = State(z, densities[chosen], orbit.types[chosen].astype(jnp.int32))
         return after, Info.of_one((chosen != own).astype(weights.dtype), jnp.any(invalid))
 
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Ask that Q has probabilities on Phi(x), and that all pairs of an orbit have the same orbit."""
-        can = np.asarray(self.phi(position))
-        for i in np.flatnonzero(can):
+        allowed = np.asarray(self.phi(position))
+        for i in np.flatnonzero(allowed):
             row = np.exp(np.asarray(self.q(jnp.int32(i), position), np.float64))
-            if abs(row[can].sum() - 1) > TOLERANCE or row[~can].any():
-                given = f"a sum of {row[can].sum():.4g} there"
+            if abs(row[allowed].sum() - 1) > TOLERANCE or row[~allowed].any():
+                given = f"a sum of {row[allowed].sum():.4g} there"
                 checks.refuse(f"GeneralizedSampler q({i}, x)", "logs of probabilities on phi(x) that sum to 1", given)
         if self.psi is None:
             return
-        for m in np.flatnonzero(can):
+        for m in np.flatnonzero(allowed):
             orbit = self.psi(jnp.int32(m), position)
             for c in range(orbit.types.shape[0]):
                 other = self.psi(orbit.types[c], jax.tree.map(lambda leaf, c=c: leaf[c], orbit.points))

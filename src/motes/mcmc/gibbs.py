@@ -1,4 +1,8 @@
-"""The Gibbs sampler (Geman, Geman 1984; Djuric 2004, section 2.1): each part is drawn from its law given all others."""
+"""The Gibbs sampler (Geman, Geman 1984; Djuric 2004, section 2.1): each part is drawn from its law given all others.
+
+1. Choose the parts: all in turn (systematic scan), or one of them with equal probability (random scan).
+2. Draw each chosen part from its law given the present values of all others.
+"""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -71,6 +75,7 @@ class Gibbs(Kernel):
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Draw all parts in turn, or one of them."""
 
+        # 2. draw a part
         def drawn(place: int, position: Position) -> Position:
             part, function = self.draws[place]
             new = function(random.step_key(key, place), position)
@@ -78,6 +83,7 @@ class Gibbs(Kernel):
 
         count = len(self.draws)
         position = state.position
+        # 1. choose the parts
         if self.scan == "systematic":
             for place in range(count):
                 position = drawn(place, position)

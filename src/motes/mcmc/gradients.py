@@ -44,7 +44,7 @@ class GradientKernel(Kernel, Tunable):
                 checks.refuse(f"{type(self).__name__} position", "real numbers throughout (gradients are taken)", f"dtype {leaf.dtype}",
                               "Move whole numbers by another kernel, in a Cycle of Blocks.")
 
-    def first_scale(self, size: int) -> float:
+    def initial_scale(self, size: int) -> float:
         """1 / x^(1/4) (Beskos et al. 2013)."""
         return size**-0.25
 

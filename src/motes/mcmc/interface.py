@@ -113,7 +113,7 @@ class Tunable(ABC):
         """Acceptance probability that serves best in so many dimensions."""
 
     @abstractmethod
-    def first_scale(self, size: int) -> float:
+    def initial_scale(self, size: int) -> float:
         """Scale that serves best for a standard normal density in so many dimensions."""
 
     @abstractmethod

@@ -1,7 +1,7 @@
 """Metropolis (1953), Metropolis-Hastings (Hastings 1970) and independence samplers (Djuric 2004, section 2.1).
 
-1. Propose a new position x* from a law pi(.|x).
-2. Go there with probability min(1, p(x*) pi(x|x*) / (p(x) pi(x*|x))), else stay (equations 5 and 6).
+1. Propose a new position x* from a law q(. | x) (`proposed`).
+2. Go there with probability min(1, p(x*) q(x | x*) / (p(x) q(x* | x))), else stay (equations 5 and 6; `Proposing.step_by`, interface.py).
 """
 
 from typing import Any
@@ -57,7 +57,7 @@ class RandomWalkMetropolis(Proposing, Tunable):
         super().check(key, log_density, position)
 
     def proposed(self, key: jax.Array, x: jax.Array, t: Any) -> tuple[jax.Array, Any]:
-        """Draw a step."""
+        """Draw a step (step 1)."""
         noise = random.normal(key, x.shape, x.dtype)
         scale = self.scale.astype(x.dtype)
         return x + (jnp.matmul(scale, noise, precision=jax.lax.Precision.HIGHEST) if scale.ndim == 2 else scale * noise), 0.0
@@ -66,7 +66,7 @@ class RandomWalkMetropolis(Proposing, Tunable):
         """0.44 in one dimension, 0.234 in many (Roberts, Gelman, Gilks 1997)."""
         return 0.234 + 0.206 / size
 
-    def first_scale(self, size: int) -> float:
+    def initial_scale(self, size: int) -> float:
         """2.38 / sqrt(x) (the same)."""
         return 2.38 / size**0.5
 
@@ -102,7 +102,7 @@ class IndependenceMetropolis(Proposing):
         object.__setattr__(self, "law", as_law("IndependenceMetropolis law", law))
 
     def proposed(self, key: jax.Array, x: jax.Array, t: Any) -> tuple[jax.Array, Any]:
-        """Draw from the law."""
+        """Draw from the law (step 1)."""
         new = self.law.sample(key, 1)[:, 0].astype(x.dtype)
         return new, self.law.log_prob(x) - self.law.log_prob(new)
 
@@ -135,7 +135,7 @@ class MetropolisHastings(Proposing):
         object.__setattr__(self, "proposal", as_conditional("MetropolisHastings proposal", proposal))
 
     def proposed(self, key: jax.Array, x: jax.Array, t: Any) -> tuple[jax.Array, Any]:
-        """Draw from the proposal."""
+        """Draw from the proposal (step 1)."""
         old = x[:, None]
         new = self.proposal.sample(key, old, None, t)
         return new[:, 0], (self.proposal.log_prob(old, new, None, t) - self.proposal.log_prob(new, old, None, t))[0]

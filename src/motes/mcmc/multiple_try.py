@@ -1,7 +1,7 @@
 """Multiple-try Metropolis (Liu, Liang, Wong 2000; named in Djuric 2004, section 3.2).
 
 1. Draw k points y_j from T(x, .); weigh them by w(y, x) = p(y) T(y, x) lambda(y, x) with lambda symmetric; pick y in proportion.
-2. Draw k - 1 reference points from T(y, .), and let x be the k-th.
+2. Draw k - 1 reference points x*_j from T(y, .), and let x be the k-th.
 3. Go to y with probability min(1, sum_j w(y_j, x) / sum_j w(x*_j, y)).
 """
 
@@ -70,21 +70,25 @@ class MultipleTry(Kernel):
         def densities_at(points: jax.Array) -> jax.Array:
             return jax.vmap(lambda point: log_density(rebuild(point)), in_axes=-1)(points)
 
-        propose_key, pick_key, refer_key = (random.child(key, purpose) for purpose in (random.PREDICT, random.RESAMPLE, random.NOISE))
+        purposes = (random.PREDICT, random.RESAMPLE, random.NOISE)
+        propose_key, pick_key, reference_key = (random.child(key, purpose) for purpose in purposes)
+        # 1. tries
         points = self.proposal.sample(propose_key, jnp.repeat(x[:, None], self.tries, axis=1), None, t)
         densities = densities_at(points)
-        wrong = jnp.isnan(densities) | (densities == jnp.inf)
-        weights = jnp.where(wrong, -jnp.inf, log_weights(points, x, densities))
+        invalid = jnp.isnan(densities) | (densities == jnp.inf)
+        weights = jnp.where(invalid, -jnp.inf, log_weights(points, x, densities))
         total = jax.nn.logsumexp(weights)
         chosen = draw(pick_key, jnp.where(jnp.isfinite(total), weights - total, 0.0), 1)[0]
         y = points[:, chosen]
-        # x itself is among the reference points: without it the chain would have another law
-        others, known = points[:, :0], densities[:0]
+        # 2. reference points; x itself is among them: without it the chain would have another law
+        others, reference_densities = points[:, :0], densities[:0]
         if self.tries > 1:
-            others = self.proposal.sample(refer_key, jnp.repeat(y[:, None], self.tries - 1, axis=1), None, t)
-            known = densities_at(others)
-        reference, known = jnp.concatenate([others, x[:, None]], axis=1), jnp.append(known, state.log_density)
-        known = jnp.where(jnp.isnan(known), -jnp.inf, known)
-        log_ratio = jnp.where(jnp.isfinite(total), total - jax.nn.logsumexp(log_weights(reference, y, known)), -jnp.inf)
+            others = self.proposal.sample(reference_key, jnp.repeat(y[:, None], self.tries - 1, axis=1), None, t)
+            reference_densities = densities_at(others)
+        reference = jnp.concatenate([others, x[:, None]], axis=1)
+        reference_densities = jnp.append(reference_densities, state.log_density)
+        reference_densities = jnp.where(jnp.isnan(reference_densities), -jnp.inf, reference_densities)
+        # 3. accept or stay
+        log_ratio = jnp.where(jnp.isfinite(total), total - jax.nn.logsumexp(log_weights(reference, y, reference_densities)), -jnp.inf)
         after, info = accept_or_stay(random.child(key, random.UPDATE), state, State(rebuild(y), densities[chosen]), log_ratio)
-        return after, Info(info.tried, info.accepted, info.invalid + jnp.sum(wrong, dtype=jnp.int32))
+        return after, Info(info.tried, info.accepted, info.invalid + jnp.sum(invalid, dtype=jnp.int32))

@@ -1,11 +1,11 @@
 """Pseudo-marginal Metropolis-Hastings (Beaumont 2003; Andrieu, Roberts 2009): the density is only estimated, without bias.
 
-1. Propose a new position; estimate its density with fresh random numbers.
-2. Accept it as if the estimates were the densities; the estimate of the position where the chain stays is kept, never drawn anew.
+1. Draw new random numbers for an estimate; in the correlated form (Tran, Kohn, Quiroz, Villani 2016) those of a block of steps alone, so
+   that the noise of the two estimates is nearly the same and fewer particles do.
+2. Propose a new position, and estimate its density with these numbers.
+3. Accept it as if the estimates were the densities; the estimate of the position where the chain stays is kept, never drawn anew.
 
-With the likelihood of a particle filter it is particle marginal Metropolis-Hastings (Andrieu, Doucet, Holenstein 2010). In the correlated
-form a proposal draws the random numbers of a block of steps anew and keeps the others (Tran, Kohn, Quiroz, Villani 2016), so that the noise
-of the two estimates is nearly the same and fewer particles do.
+With the likelihood of a particle filter it is particle marginal Metropolis-Hastings (Andrieu, Doucet, Holenstein 2010).
 """
 
 from typing import Any
@@ -67,7 +67,7 @@ class PseudoMarginal(Wrapper, Tunable):
     def init(self, key: jax.Array, log_density: Any, position: Position) -> State:
         """Return the state of a chain with an estimate of its density; the state of the kernel are the keys that gave it."""
         keys = self._renewed(key, log_density, None)
-        return State(position, log_density.estimate(keys, position), self._kept(keys))
+        return State(position, log_density.estimate(keys, position), self._key_data(keys))
 
     def init_kernel_state(self, log_density: LogDensity, position: Position) -> Any:
         """Return nothing: a state is what only the correlated form has.
@@ -79,7 +79,7 @@ class PseudoMarginal(Wrapper, Tunable):
             checks.refuse("PseudoMarginal renewed", "1 in a Cycle or Mix", self.renewed, "Other kernels would not keep its random numbers.")
         return super().init_kernel_state(log_density, position)
 
-    def _kept(self, keys: jax.Array) -> Any:
+    def _key_data(self, keys: jax.Array) -> Any:
         return jax.random.key_data(keys) if self.renewed < 1 else ()
 
     def _renewed(self, key: jax.Array, log_density: Any, old: jax.Array | None) -> jax.Array:
@@ -99,16 +99,22 @@ class PseudoMarginal(Wrapper, Tunable):
 
     def step(self, key: jax.Array, log_density: Any, state: State, t: Any) -> tuple[State, Info]:
         """Make one step."""
+        # 1. random numbers
         keys = self._renewed(random.child(key, random.FILTER), log_density, state.kernel_state)
-        return self.kernel.step_by(key, lambda position: State(position, log_density.estimate(keys, position), self._kept(keys)), state, t)
+
+        def estimated(position: Position) -> State:
+            return State(position, log_density.estimate(keys, position), self._key_data(keys))
+
+        # 2. propose and estimate; 3. accept or stay
+        return self.kernel.step_by(key, estimated, state, t)
 
     def target(self, size: int) -> float:
         """Less than for known densities."""
         return TARGET
 
-    def first_scale(self, size: int) -> float:
+    def initial_scale(self, size: int) -> float:
         """That of the kernel."""
-        return self.kernel.first_scale(size)
+        return self.kernel.initial_scale(size)
 
     def tuned(self, step_size: jax.Array, factor: jax.Array) -> "PseudoMarginal":
         """Return the kernel with other steps."""

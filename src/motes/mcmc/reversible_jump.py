@@ -117,15 +117,18 @@ class ReversibleJump(Kernel):
         return _log_shares(jnp.where(possible, weights, -jnp.inf))
 
     def _proposed(self, place: int, key: jax.Array, position: Configuration) -> Proposed:
-        """Jump."""
+        """Draw a jump's choice and u (step 1), map them (step 2), and return what step 3 asks of the jump: all but p and j."""
         jump, back = self.jumps[place], self.jumps[self.names.index(self.jumps[place].reverse)]
         model, x = position
+        # 1. choice and u
         log_choices = _log_shares(jump.log_choices(model, x))
         choice = draw(random.child(key, random.RESAMPLE), log_choices, 1)[0]
         law = jump.law_at(model, x, choice)
         u = x[:0] if law is None else law.sample(random.child(key, random.NOISE), 1)[:, 0].astype(x.dtype)
+        # 2. map
         new_model, new_x, new_u, new_choice = jump.map(model, x, u, choice)
         there = self._padded(Configuration(new_model, new_x))
+        # 3. ratio
         new_law = back.law_at(*there, new_choice)
         log_back = _log_shares(back.log_choices(*there))[new_choice] - log_choices[choice]
         log_u = (0 if new_law is None else new_law.log_prob(new_u)) - (0 if law is None else law.log_prob(u))
@@ -158,12 +161,14 @@ class ReversibleJump(Kernel):
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
         """Make one jump, and a step within the model."""
         jump_key = random.child(key, random.PREDICT)
+        # 1. choose a jump; 2. make it
         log_jumps = self._log_jumps(state.position)
         chosen = draw(random.child(jump_key, random.INITIAL), log_jumps, 1)[0]
         there, log_ratio, undone = self._jumped(chosen, jump_key, state.position)
-        backs = jnp.array([self.names.index(jump.reverse) for jump in self.jumps])
+        # 3. accept or stay
+        reverses = jnp.array([self.names.index(jump.reverse) for jump in self.jumps])
         density = log_density(there)
-        log_ratio = log_ratio + self._log_jumps(there)[backs[chosen]] - log_jumps[chosen] + density - state.log_density
+        log_ratio = log_ratio + self._log_jumps(there)[reverses[chosen]] - log_jumps[chosen] + density - state.log_density
         # where nothing can be chosen, and where the map is not undone, the chain stays
         allowed = undone & jnp.isfinite(log_jumps[chosen])
         after, done = accept_or_stay(
@@ -172,13 +177,14 @@ class ReversibleJump(Kernel):
             replace(state, position=there, log_density=density),
             jnp.where(allowed, log_ratio, -jnp.inf),
         )
-        own = (jnp.arange(len(self.jumps)) == chosen) & jnp.isfinite(log_jumps[chosen])
+        made = (jnp.arange(len(self.jumps)) == chosen) & jnp.isfinite(log_jumps[chosen])
         broken = done.invalid | (~undone).astype(jnp.int32)
-        info = Info(own * done.tried, own * done.accepted, own * broken)
-        return (after, info) if self.within is None else self._stayed(self.within, key, log_density, after, t, info)
+        info = Info(made * done.tried, made * done.accepted, made * broken)
+        # 4. move within the model
+        return (after, info) if self.within is None else self._within(self.within, key, log_density, after, t, info)
 
-    def _stayed(self, within: Kernel, key: jax.Array, log_density: LogDensity, state: State, t: Any, jumped: Info) -> tuple[State, Info]:
-        """Move x within its model."""
+    def _within(self, within: Kernel, key: jax.Array, log_density: LogDensity, state: State, t: Any, jumped: Info) -> tuple[State, Info]:
+        """Move x within its model (step 4)."""
         model = state.position.model
         inner = State(state.position.x, state.log_density, state.kernel_state)
         after, info = within.step(random.child(key, random.MEASURE), self._given(log_density, model), inner, t)

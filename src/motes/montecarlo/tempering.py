@@ -144,7 +144,7 @@ def shaped(kernel: Kernel, log_weights: jax.Array, particles: jax.Array) -> Any:
     size = particles.shape[0]
     cov = weighted_moments(log_weights, particles)[1]
     least = 1e-6 * jnp.diag(jnp.diag(cov)) + 1e-20 * jnp.eye(size, dtype=cov.dtype)
-    return kernel.tuned(jnp.asarray(kernel.first_scale(size), cov.dtype), linalg.cholesky(linalg.symmetric(cov + least)))
+    return kernel.tuned(jnp.asarray(kernel.initial_scale(size), cov.dtype), linalg.cholesky(linalg.symmetric(cov + least)))
 
 
 class Between(NamedTuple):

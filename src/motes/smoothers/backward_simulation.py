@@ -1,10 +1,11 @@
 """Backward simulation (Godsill, Doucet, West 2004): whole trajectories are drawn from filtered clouds, the last state first.
 
-A trajectory starts at a particle of the last cloud, drawn by weight. Going back, its state at t is a particle of the cloud at t, drawn with
-probability w_i p(x_{t+1} | x_i). Unlike a genealogy, it may change over to other ancestors at every step.
+1. Draw the last state of each trajectory from the last cloud, by weight.
+2. Going back, draw its state at t among the particles of the cloud at t: x_i with probability w_i p(x_{t+1} | x_i).
+3. Mean and covariance at each step are those of the trajectories, all of equal weight.
 
-Along directions without process noise a state is mapped, not drawn: only the true ancestor leads to it, and the trajectory follows the
-genealogy there.
+Unlike a genealogy, a trajectory may change over to other ancestors at every step. Along directions without process noise a state is mapped,
+not drawn: only the true ancestor leads to it, and the trajectory follows the genealogy there.
 """
 
 from typing import Any
@@ -69,9 +70,11 @@ class BackwardSimulationSmoother(Smoother):
     def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
         """Draw trajectories backward."""
         clouds: Cloud = history.law
+        # 1. last states
         last = at_step(clouds, -1)
         chosen = draw(random.child(key, random.INITIAL), last.log_weights, self.n)
 
+        # 2. going back
         def back(held: tuple[jax.Array, jax.Array], row: Any) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
             after, ancestors = held
             cloud, u, t = row
@@ -82,6 +85,7 @@ class BackwardSimulationSmoother(Smoother):
         start = (last.particles[:, chosen], last.ancestors[chosen])
         rows = jax.tree.map(lambda leaf: leaf[:-1], clouds), *jax.tree.map(lambda leaf: leaf[1:], (steps.u, steps.t))
         _, earlier = jax.lax.scan(back, start, rows, reverse=True)
+        # 3. moments
         paths = jnp.concatenate([earlier, start[0][None]])
         equal = logspace.uniform_weights(self.n, paths.dtype)
         mean, cov, probabilities = jax.vmap(lambda X: summed_up(equal, X, model.modes))(paths)

@@ -1,8 +1,11 @@
 """Genealogy smoothers: the filter's own ancestors, followed back (Kitagawa 1996); a fixed lag limits how far.
 
+1. Follow the ancestors of each late particle back to the step of the state: from the last step, or with a lag L from L steps later.
+2. Mean and covariance are those of the ancestors found, under the weights of the late particles.
+
 Exact in the limit of many particles, and free. But particles of a late step descend from few of an early one: the whole genealogy holds
-one path only, before a while. With a lag L a state is smoothed with the measurements up to L steps later, which costs a little bias where
-later ones still tell something of it, and saves the variance (Kitagawa, Sato 2001).
+one path only, before a while. A lag costs a little bias where later measurements still tell something of the state, and saves the variance
+(Kitagawa, Sato 2001).
 """
 
 from typing import Any
@@ -67,24 +70,28 @@ class GenealogySmoother(Smoother):
 def _followed(clouds: Cloud, modes: int) -> Smoothed:
     weights = clouds.log_weights[-1]
 
-    def back(own: jax.Array, row: Any) -> tuple[jax.Array, jax.Array]:
+    def back(ancestor: jax.Array, row: Any) -> tuple[jax.Array, jax.Array]:
         particles, ancestors = row
-        return ancestors[own], particles[:, own]
+        return ancestors[ancestor], particles[:, ancestor]
 
-    everyone = jnp.arange(weights.shape[0], dtype=jnp.int32)
-    _, paths = jax.lax.scan(back, everyone, (clouds.particles, clouds.ancestors), reverse=True)
+    particle_indices = jnp.arange(weights.shape[0], dtype=jnp.int32)
+    # 1. follow
+    _, paths = jax.lax.scan(back, particle_indices, (clouds.particles, clouds.ancestors), reverse=True)
+    # 2. moments
     mean, cov, probabilities = jax.vmap(lambda X: summed_up(weights, X, modes))(paths)
     return Smoothed(mean, cov, paths, weights, probabilities)
 
 
 def _lagged(clouds: Cloud, lag: int, modes: int) -> Smoothed:
     count, n = clouds.log_weights.shape
-    everyone = jnp.arange(n, dtype=jnp.int32)
+    particle_indices = jnp.arange(n, dtype=jnp.int32)
 
     def moments(t: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array | None]:
         late = jnp.minimum(t + lag, count - 1)
-        own = jax.lax.fori_loop(0, late - t, lambda k, own: clouds.ancestors[late - k][own], everyone)
-        return summed_up(clouds.log_weights[late], at_step(clouds.particles, t)[:, own], modes)
+        # 1. follow
+        ancestor = jax.lax.fori_loop(0, late - t, lambda k, ancestor: clouds.ancestors[late - k][ancestor], particle_indices)
+        # 2. moments
+        return summed_up(clouds.log_weights[late], at_step(clouds.particles, t)[:, ancestor], modes)
 
     mean, cov, probabilities = jax.lax.map(moments, jnp.arange(count))
     return Smoothed(mean, cov, mode_probabilities=probabilities)

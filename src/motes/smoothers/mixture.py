@@ -1,13 +1,16 @@
 """Backward simulation from mixtures of Gaussians (Fong, Godsill, Doucet, West 2002), after filters of jump-Markov systems.
 
-Trajectories of state and mode are drawn backward. With (x', s') drawn at the next step, component i of the filtered mixture, which is in
-mode s_i, is taken with probability
+Trajectories of state and mode are drawn backward; (x', s') is what was drawn at the next step.
 
-    w_i transition[s_i, s'] N(x'; f(m_i), F P_i F' + Q),   f, F and Q those of mode s'
+1. Draw a component of the last mixture by weight, and the last state from its Gaussian.
+2. Going back, take component i of the filtered mixture, which is in mode s_i, with probability in proportion to
+   w_i transition[s_i, s'] N(x'; f(m_i), F P_i F' + Q), with f, F and Q those of mode s'.
+3. Condition its Gaussian on x', and draw x from it.
+4. Means and covariances are those of the conditioned Gaussians, and probabilities of modes sums of the weights of step 2, not those of the
+   draws, so that less is left to chance.
 
-and x is drawn from its Gaussian, conditioned on x'. Means and covariances are those of these Gaussians, and probabilities of modes are sums
-of these weights, not those of the draws, so that less is left to chance. For linear modes a trajectory is a draw from the joint law given
-all measurements if the filter's law was exact; elsewhere f, F and Q are those of the rule for moments over N(m_i, P_i).
+For linear modes a trajectory is a draw from the joint law given all measurements if the filter's law was exact; elsewhere f, F and Q are
+those of the rule for moments over N(m_i, P_i).
 """
 
 from typing import Any, NamedTuple
@@ -92,6 +95,7 @@ class MixtureSmoother(Smoother):
     def smooth(self, key: jax.Array, model: JumpMarkovModel, history: History, steps: Steps) -> Smoothed:
         """Draw trajectories backward."""
         laws = _with_modes(history.law, model.count)
+        # 1. last component and state
         last: ModeMixture = at_step(laws, -1)
         opening = random.step_key(key, steps.t[-1])
         first = last.resampled(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
@@ -100,10 +104,12 @@ class MixtureSmoother(Smoother):
 
         def back(after: _Drawn, row: Any) -> tuple[_Drawn, tuple[jax.Array, ...]]:
             law, u, t, t_after = row
-            own = random.step_key(key, t)
-            informed, modes, probabilities = self._informed(random.child(own, random.RESAMPLE), model, law, after, u, t_after)
-            before = _Drawn(informed.sample(random.child(own, random.NOISE), self.n), modes)
-            whole = Mixture(informed, equal).gathered(model.circular)
+            step_key = random.step_key(key, t)
+            # 2. component; 3. condition and draw
+            conditioned, modes, probabilities = self._conditioned(random.child(step_key, random.RESAMPLE), model, law, after, u, t_after)
+            before = _Drawn(conditioned.sample(random.child(step_key, random.NOISE), self.n), modes)
+            # 4. moments
+            whole = Mixture(conditioned, equal).gathered(model.circular)
             return before, (whole.mean(), whole.cov(), before.states, modes, probabilities)
 
         rows = *jax.tree.map(lambda leaf: leaf[:-1], (laws,)), jax.tree.map(lambda leaf: leaf[1:], steps.u), steps.t[:-1], steps.t[1:]
@@ -113,7 +119,7 @@ class MixtureSmoother(Smoother):
         found = Smoothed(mean, cov, paths, equal)
         return replace(found, mode_probabilities=probabilities, modes=modes) if isinstance(history.state, ModeMixture) else found
 
-    def _informed(
+    def _conditioned(
         self, key: jax.Array, model: JumpMarkovModel, law: ModeMixture, after: _Drawn, u: Any, t: Any
     ) -> tuple[Gaussian, jax.Array, jax.Array]:
         """Draw a component for each trajectory, and condition its Gaussian on what follows.
@@ -122,12 +128,13 @@ class MixtureSmoother(Smoother):
             The Gaussians, NaN where no component leads to what follows; the modes of the components `(m,)`; and the probabilities of the
             modes `(modes,)`.
         """
+        # 2. weights of the components
         moves = [self.rule.linearized(part.dynamics, law.parts, u, t) for part in model.models]
         covs = [move.over(law.parts).covariance for move in moves]
         log_transition = model.log_transition(u, t)[law.modes]
         size = jnp.max(jnp.abs(jnp.concatenate([after.states, *(move.prediction for move in moves)], axis=1)), axis=1)
 
-        def weights(state: jax.Array, mode: jax.Array, trusted: float | None) -> jax.Array:
+        def log_weights(state: jax.Array, mode: jax.Array, trusted: float | None) -> jax.Array:
             each = [log_normal(wrap(state[:, None] - move.prediction, model.circular), cov, None, size, noiseless(move.noise), trusted)
                     for move, cov in zip(moves, covs, strict=True)]  # fmt: skip
             possible = law.log_weights > -jnp.inf
@@ -135,13 +142,14 @@ class MixtureSmoother(Smoother):
 
         def parent(row: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array, jax.Array]:
             state, mode, point = row
-            strict, loose = (weights(state, mode, trusted) for trusted in (None, FOLLOWED))
-            own, total = logspace.normalize(jnp.where(jnp.any(jnp.isfinite(strict)), strict, loose))
-            return pick(jnp.exp(own), point), jnp.isfinite(total), replace(law, log_weights=own).mode_probabilities()
+            strict, loose = (log_weights(state, mode, trusted) for trusted in (None, FOLLOWED))
+            log_p, total = logspace.normalize(jnp.where(jnp.any(jnp.isfinite(strict)), strict, loose))
+            return pick(jnp.exp(log_p), point), jnp.isfinite(total), replace(law, log_weights=log_p).mode_probabilities()
 
         points = random.uniform(key, (self.n,), size.dtype)
         rows = (after.states.T, after.modes, points)
         parents, known, probabilities = pairs.against_all(parent, rows, model.count * law.log_weights.shape[0])
+        # 3. condition
         chosen = law.resampled(parents)
         move = Linearized(*(of_mode(after.modes, [leaf[..., parents] for leaf in leaves]) for leaves in zip(*moves, strict=True)))
         done = chosen.parts.corrected(wrap(after.states - move.prediction, model.circular), move.slope, move.noise).law

@@ -1,10 +1,12 @@
 """PaRIS, the particle-based rapid incremental smoother (Olsson, Westerborn 2017): smoothed sums over time, while the filter runs.
 
-For S_t = h(x_0, x_1) + ... + h(x_{t-1}, x_t) each particle carries an estimate s_i of E[S_t | x_t = x_i, y_0 .. y_t]:
+For S_t = h(x_0, x_1) + ... + h(x_{t-1}, x_t) each particle carries an estimate s_i of E[S_t | x_t = x_i, y_0 .. y_t].
 
-    s_i <- mean over k of (s_j + h(x_j, x_i')),   j drawn k times with P(j) ~ w_j p(x_i' | x_j)
+1. Make a step of the particle filter: resample, move, weigh.
+2. For each new particle x_i' draw k parents among the old ones, P(j) ~ w_j p(x_i' | x_j).
+3. s_i <- mean over the k draws of s_j + h(x_j, x_i').
 
-Its weighted mean is E[S_t | y_0 .. y_t]. Two draws keep the variance from growing as that of a genealogy does; one does not.
+The weighted mean of s_i is E[S_t | y_0 .. y_t]. Two draws keep the variance from growing as that of a genealogy does; one does not.
 """
 
 from collections.abc import Callable
@@ -89,9 +91,9 @@ class PaRIS(Filter):
 
     Attributes:
         n: number of particles.
-        function: `(before, after, u, t)` of two states `(x,)`, inputs and index of the later step; gives what a move adds, `(d,)`.
+        function: h, `(before, after, u, t)` of two states `(x,)`, inputs and index of the later step; gives what a move adds, `(d,)`.
         size: d.
-        draws: parents drawn for each particle.
+        draws: k, parents drawn for each particle.
         parents: how they are drawn: `ExactParents()`, `RejectedParents()` or `SteppedParents()`.
         scheme: how ancestors are drawn.
         policy: when to resample, at the start of a step.
@@ -157,13 +159,17 @@ class PaRIS(Filter):
         return AdditiveCloud(cloud, state.sums), info
 
     def step(self, key: jax.Array, model: Any, state: AdditiveCloud, y: jax.Array, u: Any, t: Any) -> tuple[AdditiveCloud, Info]:
-        """Go to the next time t, take in its measurement, and add what the move brings."""
+        """Go to the next time t, take in its measurement, and add what the move brings (steps 1 to 3)."""
+        # 1. filter
         cloud, info = self._filter.step(key, model, state.cloud, y, u, t)
+        # 2. parents
         after, ancestors = (jnp.concatenate([leaf] * self.draws, axis=-1) for leaf in (cloud.particles, cloud.ancestors))
         parents, known = self.parents.draw(random.child(key, random.MEASURE), state.cloud, Move(model.dynamics, u, t), after, ancestors)
-        added = jax.vmap(lambda x, z: self._added(x, z, u, t), in_axes=-1, out_axes=-1)(state.cloud.particles[:, parents], after)
-        sums = jnp.where(known, state.sums[:, parents] + added, jnp.nan).reshape(self.size, self.draws, self.n)
-        return AdditiveCloud(cloud, jnp.mean(sums, axis=1)), info
+        # 3. sums
+        added_by = jax.vmap(lambda before, after: self._added(before, after, u, t), in_axes=-1, out_axes=-1)
+        added = added_by(state.cloud.particles[:, parents], after)
+        drawn_sums = jnp.where(known, state.sums[:, parents] + added, jnp.nan).reshape(self.size, self.draws, self.n)
+        return AdditiveCloud(cloud, jnp.mean(drawn_sums, axis=1)), info
 
     def _added(self, before: jax.Array, after: jax.Array, u: Any, t: Any) -> jax.Array:
         added = jnp.asarray(self.function(before, after, users(u), t)).astype(after.dtype)

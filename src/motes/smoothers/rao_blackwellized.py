@@ -1,8 +1,10 @@
 """Rao-Blackwellized backward simulation (Fong, Godsill, Doucet, West 2002; Lindsten, Schon 2013), after a marginalized particle filter.
 
-Trajectories of both parts are drawn backward: a particle with probability w_i N(x'; f + A l_i, A P_i A' + Q), where x' = (x_p', x_k') is
-the state drawn at the next step; then x_k from the Gaussian of that particle, conditioned on x'. Moments are those of these Gaussians, not
-of the draws, so that less of them is left to chance.
+1. Draw a particle of the last cloud by weight, and x_k from its Gaussian.
+2. Going back, take a particle with probability in proportion to w_i N(x'; f + A l_i, A P_i A' + Q), where x' = (x_p', x_k') is the state
+   drawn at the next step, and l_i, P_i are mean and covariance of x_k given the particle.
+3. Condition its Gaussian on x', and draw x_k from it.
+4. Mean and covariance are those of the conditioned Gaussians, not of the draws, so that less of them is left to chance.
 """
 
 from typing import Any
@@ -59,15 +61,17 @@ class RaoBlackwellizedSmoother(Smoother):
     def smooth(self, key: jax.Array, model: SplitModel, history: History, steps: Steps) -> Smoothed:
         """Draw trajectories of both parts backward."""
         clouds: MarginalCloud = history.law
+        # 1. last particle
         last: MarginalCloud = at_step(clouds, -1)
         opening = random.step_key(key, steps.t[-1])
         chosen = last.resampled(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
 
         def back(held: tuple[jax.Array, jax.Array], row: Any) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, MarginalCloud]]:
             (after, ancestors), (cloud, u, t, t_after) = held, row
-            own = random.step_key(key, t)
-            chosen = self._informed(random.child(own, random.RESAMPLE), model, cloud, (after, ancestors), u, t_after)
-            states = self._drawn(random.child(own, random.NOISE), chosen)
+            step_key = random.step_key(key, t)
+            # 2. particle; 3. condition and draw
+            chosen = self._conditioned(random.child(step_key, random.RESAMPLE), model, cloud, (after, ancestors), u, t_after)
+            states = self._drawn(random.child(step_key, random.NOISE), chosen)
             return (states, cloud.ancestors[chosen.ancestors]), (states, chosen)
 
         start = self._drawn(random.child(opening, random.NOISE), chosen)
@@ -75,6 +79,7 @@ class RaoBlackwellizedSmoother(Smoother):
         _, earlier = jax.lax.scan(back, (start, last.ancestors[chosen.ancestors]), rows, reverse=True)
         full = replace(chosen, kalman=_each(chosen.kalman, self.n))
         paths, laws = jax.tree.map(lambda some, one: jnp.concatenate([some, one[None]]), earlier, (start, full))
+        # 4. moments
         mean, cov = jax.vmap(lambda law: (law.mean(), law.cov()))(laws)
         return Smoothed(mean, cov, linalg.take(paths, last.order, axis=1), logspace.uniform_weights(self.n, mean.dtype))
 
@@ -82,7 +87,7 @@ class RaoBlackwellizedSmoother(Smoother):
         """One draw of (x_p, x_k) for each particle."""
         return jnp.concatenate([cloud.particles, cloud.kalman.sample(key, self.n)])
 
-    def _informed(
+    def _conditioned(
         self, key: jax.Array, model: SplitModel, cloud: MarginalCloud, held: tuple[jax.Array, jax.Array], u: Any, t: Any
     ) -> MarginalCloud:
         """Draw a particle for each of the states `(x_p + x_k, m)` that follow, and condition its Gaussian on what follows.
@@ -94,6 +99,7 @@ class RaoBlackwellizedSmoother(Smoother):
         points = random.uniform(key, (self.n,), f.dtype)
         size = jnp.maximum(jnp.max(jnp.abs(after), axis=1), jnp.max(jnp.abs(expected.center), axis=1))
 
+        # 2. draw the particle
         def parent(row: tuple[jax.Array, ...]) -> jax.Array:
             state, ancestor, point = row
             density = log_normal(wrap(state[:, None] - expected.center, model.places), expected.covariance, None, size, exact)
@@ -104,8 +110,9 @@ class RaoBlackwellizedSmoother(Smoother):
         chosen = cloud.resampled(parents)
         f, A, Q, prediction = (leaf[..., parents] if batched else leaf for leaf, batched in (
             (f, True), (A, A.ndim == 3), (Q, Q.ndim == 3), (expected.center, True)))  # fmt: skip
-        informed = chosen.kalman.corrected(wrap(after - prediction, model.places), A, Q).law
-        return replace(chosen, kalman=_each(informed, self.n))
+        # 3. condition
+        conditioned = chosen.kalman.corrected(wrap(after - prediction, model.places), A, Q).law
+        return replace(chosen, kalman=_each(conditioned, self.n))
 
 
 def _each(laws: Gaussian, n: int) -> Gaussian:
@@ -117,13 +124,13 @@ def _each(laws: Gaussian, n: int) -> Gaussian:
 def _stacked(model: SplitModel, X_p: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Dynamics of both parts as one: (x_p, x_k)' = f + A x_k + noise of covariance Q."""
     example = X_p[:, 0]
-    own, other = (model.over(part, X_p, example, u, t) for part in ("particle", "kalman"))
+    of_p, of_k = (model.over(part, X_p, example, u, t) for part in ("particle", "kalman"))
     cross = model.cross_cov(X_p, example, u, t)
-    f = jnp.concatenate([own.f, other.f])
-    A = _blocks([[own.A], [other.A]])
-    nothing = jnp.zeros((own.f.shape[0], other.f.shape[0]), f.dtype)
+    f = jnp.concatenate([of_p.f, of_k.f])
+    A = _blocks([[of_p.A], [of_k.A]])
+    nothing = jnp.zeros((of_p.f.shape[0], of_k.f.shape[0]), f.dtype)
     cross = nothing if cross is None else cross
-    return f, A, _blocks([[own.Q, cross], [linalg.transpose(cross), other.Q]])
+    return f, A, _blocks([[of_p.Q, cross], [linalg.transpose(cross), of_k.Q]])
 
 
 def _blocks(rows: list[list[jax.Array]]) -> jax.Array:

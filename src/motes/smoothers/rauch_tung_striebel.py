@@ -1,19 +1,19 @@
 """Rauch-Tung-Striebel smoother (1965), for what a Kalman filter of any kind has filtered.
 
-Backward over the steps, with the dynamics near the filtered mean m replaced by x' = c + F (x - m) + noise of covariance Q:
+Backward over the steps, from the filtered N(m, P) and the smoothed mean+ and cov+ of the next step:
 
-    G = P F' (F P F' + Q)^-1
-    mean <- m + G (mean' - c),   cov <- P - G (F P F' + Q) G' + G cov' G'
+1. Replace the dynamics near m by x' = c + F (x - m) + noise of covariance Q. F, c and Q are what a rule for moments makes of them over
+   N(m, P): the slope at m (exact for linear models, the extended smoother elsewhere), or the regression over sigma points (Sarkka 2008).
+2. Gain: G = P F' (F P F' + Q)^-1.
+3. mean <- m + G (mean+ - c),   cov <- P - G (F P F' + Q) G' + G cov+ G'.
 
-F, c and Q are what a rule for moments makes of the dynamics over N(m, P): the slope at m (exact for linear models, the extended smoother
-elsewhere), or the regression over sigma points (Sarkka 2008).
-All covariances are held by factors, P = U U' and cov = C C', in the manner of Park and Kailath (1995, Square-root RTS smoothing
+All covariances are held by factors, P = U U' and cov+ = C C', in the manner of Park and Kailath (1995, Square-root RTS smoothing
 algorithms): one triangle gives the gain and what it leaves,
 
-    [F U, Q^1/2; U, 0] = [X, 0; Y, D] (orthogonal),   G = Y X^-1,   cov = D D' + (G C') (G C')'
+    [F U, Q^1/2; U, 0] = [X, 0; Y, D] (orthogonal),   G = Y X^-1,   cov = D D' + (G C) (G C)'
 
 so that a predicted covariance that is singular, or nearly so, costs few digits. A direction in which X has no length is one that the
-prediction knows already, and is left alone. So is one in which X^-1 C' is below 1 by no more than the rounding of the filtered
+prediction knows already, and is left alone. So is one in which X^-1 C is below 1 by no more than the rounding of the filtered
 covariance: what it says there of the future is noise, and backward over many steps such factors multiply up.
 """
 
@@ -81,23 +81,26 @@ class RauchTungStriebelSmoother(Smoother):
 
         def back(after: FactoredGaussian, row: Any) -> tuple[FactoredGaussian, tuple[jax.Array, jax.Array]]:
             mean, cov, filtered, u, t = row
-            prediction, F, Q = self.rule.linearized(model.dynamics, Gaussian(mean, cov), u, t)
-            root = linalg.cholesky(cov)
-            nothing = jnp.zeros((size, size), root.dtype)
-            rows = [[linalg.product(F, root), linalg.cholesky(linalg.symmetric(Q))], [root, nothing]]
+            # 1. linear dynamics
+            c, F, Q = self.rule.linearized(model.dynamics, Gaussian(mean, cov), u, t)
+            # 2. gain Y X^-1
+            U = linalg.cholesky(cov)
+            nothing = jnp.zeros((size, size), U.dtype)
+            rows = [[linalg.product(F, U), linalg.cholesky(linalg.symmetric(Q))], [U, nothing]]
             whole = linalg.triangle(jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows]))
-            predicted, across, left = whole[:size, :size], whole[size:, :size], whole[size:, size:]
-            pull = linalg.solve_lower(predicted, model.dynamics.residual(after.center, prediction))
-            ratio = linalg.solve_lower(predicted, after.factor)
-            size_of = jnp.sum(predicted**2, axis=1)
+            X, Y, D = whole[:size, :size], whole[size:, :size], whole[size:, size:]
+            # 3. smoothed law
+            pull = linalg.solve_lower(X, model.dynamics.residual(after.center, c))
+            ratio = linalg.solve_lower(X, after.factor)
+            variances = jnp.sum(X**2, axis=1)
             # what a filter subtracts from the predicted covariance is rounded to its size; a factor is rounded to its own
-            rounding = jnp.diag(filtered) if factored else size_of
-            pivot = jnp.diag(predicted)
+            rounding = jnp.diag(filtered) if factored else variances
+            pivot = jnp.diag(X)
             silent = (1 - jnp.sum(ratio**2, axis=1)) * pivot**2 <= _ROUNDING * eps * rounding
-            pull = jnp.where(silent & (pivot**2 <= eps * size_of), 0, pull)
-            given = linalg.product(across, jnp.where(silent[:, None], 0, ratio))
-            spread = jnp.concatenate([given, jnp.where(silent, across, 0)], axis=1)
-            now = FactoredGaussian(mean + linalg.times_vector(across, pull), linalg.cholesky_update(left, spread))
+            pull = jnp.where(silent & (pivot**2 <= eps * variances), 0, pull)
+            given = linalg.product(Y, jnp.where(silent[:, None], 0, ratio))
+            spread = jnp.concatenate([given, jnp.where(silent, Y, 0)], axis=1)
+            now = FactoredGaussian(mean + linalg.times_vector(Y, pull), linalg.cholesky_update(D, spread))
             return now, (now.center, now.cov())
 
         moments = (history.mean, history.cov)

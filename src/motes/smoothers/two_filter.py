@@ -1,11 +1,11 @@
 """Two-filter smoother (Briers, Doucet, Maskell 2010): the filter, and a second one that takes the measurements from the last to the first.
 
 The second filter is after p(y_t .. y_T | x_t), which need not be a density of x_t; times g_t, a Gaussian about the filtered law, it is one.
-With points z_k drawn from g_t at each step, its weights are, going back,
 
-    v_k = p(y_t | z_k) sum_j v'_j p(z'_j | z_k) / g_{t+1}(z'_j)
-
-and those of the smoothed law are v_k p(z_k | y_0 .. y_{t-1}) / g_t(z_k), the predicted density a sum over the particles at t - 1.
+1. Draw points z_k at each step from g_t, a Gaussian about the filtered law.
+2. From the last step to the first, weigh them by v_k = p(y_t | z_k) sum_j v'_j p(z'_j | z_k) / g_{t+1}(z'_j), primes for the next step.
+3. Predict: p(z_k | y_0 .. y_{t-1}) is a sum over the particles of the filter at t - 1.
+4. The smoothed law has the weights v_k p(z_k | y_0 .. y_{t-1}) / g_t(z_k).
 """
 
 from collections.abc import Callable
@@ -80,28 +80,32 @@ class TwoFilterSmoother(Smoother):
         if steps.y is None:
             checks.refuse("TwoFilterSmoother ys", "the measurements of the run (t, y)", "None", "Give them to smooth.")
         clouds: Cloud = history.law
-        around = jax.vmap(lambda cloud: Gaussian(cloud.mean(), self.inflation * cloud.cov()))(clouds)
-        points = jax.vmap(lambda g, t: g.sample(random.step_key(key, t), self.n))(around, steps.t)
-        log_g = jax.vmap(Gaussian.log_prob)(around, points)
-        likelihood = jax.vmap(lambda z, row: _taken_in(model, z, row))(points, steps)
+        # 1. points
+        g = jax.vmap(lambda cloud: Gaussian(cloud.mean(), self.inflation * cloud.cov()))(clouds)
+        points = jax.vmap(lambda law, t: law.sample(random.step_key(key, t), self.n))(g, steps.t)
+        log_g = jax.vmap(Gaussian.log_prob)(g, points)
+        # 2. second filter
+        log_likelihood = jax.vmap(lambda z, row: _log_likelihood(model, z, row))(points, steps)
         before, after = (jax.tree.map(lambda leaf, cut=cut: leaf[cut], (points, log_g, steps)) for cut in (slice(None, -1), slice(1, None)))
 
-        def back(held: jax.Array, row: Any) -> tuple[jax.Array, jax.Array]:
-            (z, _, _), (z_after, log_g_after, step), seen = row
+        def back(log_v: jax.Array, row: Any) -> tuple[jax.Array, jax.Array]:
+            (z, _, _), (z_after, log_g_after, step), log_likelihood = row
             move = Move(model.dynamics, step.u, step.t)
-            ahead = _summed(lambda one: move.log_prob(z_after, jnp.broadcast_to(one[:, None], z_after.shape)), held - log_g_after, z)
-            weights = logspace.normalize(jnp.where(_spreads_everywhere(move, z), seen + ahead, jnp.nan))[0]
+            ahead = _log_sum(lambda one: move.log_prob(z_after, jnp.broadcast_to(one[:, None], z_after.shape)), log_v - log_g_after, z)
+            weights = logspace.normalize(jnp.where(_spreads_everywhere(move, z), log_likelihood + ahead, jnp.nan))[0]
             return weights, weights
 
-        last = logspace.normalize(likelihood[-1])[0]
-        _, earlier = jax.lax.scan(back, last, (before, after, likelihood[:-1]), reverse=True)
+        last = logspace.normalize(log_likelihood[-1])[0]
+        _, earlier = jax.lax.scan(back, last, (before, after, log_likelihood[:-1]), reverse=True)
 
+        # 3. predicted densities
         def arriving(row: Any) -> jax.Array:
             cloud, (z, _, step) = row
-            return _summed(lambda one: Move(model.dynamics, step.u, step.t).log_prob(one, cloud.particles), cloud.log_weights, z)
+            return _log_sum(lambda one: Move(model.dynamics, step.u, step.t).log_prob(one, cloud.particles), cloud.log_weights, z)
 
         predicted = jax.lax.map(arriving, (jax.tree.map(lambda leaf: leaf[:-1], clouds), after))
         predicted = jnp.concatenate([model.initial_log_prob(points[0])[None], predicted])
+        # 4. smoothed weights
         weights = jnp.concatenate([earlier, last[None]]) + predicted - log_g
         return Smoothed(*jax.vmap(lambda w, z: weighted_moments(logspace.normalize(w)[0], z))(weights, points))
 
@@ -113,11 +117,11 @@ def _spreads_everywhere(move: Move, z: jax.Array) -> jax.Array | bool:
     return ~jnp.any(noiseless(matrix_over(move.dynamics.Q, z, move.u, move.t)))
 
 
-def _taken_in(model: StateSpaceModel, z: jax.Array, row: Steps) -> jax.Array:
+def _log_likelihood(model: StateSpaceModel, z: jax.Array, row: Steps) -> jax.Array:
     assert row.y is not None
     return jnp.where(is_nothing(row.y), 0, model.sensor.log_prob(row.y, z, row.u, row.t))
 
 
-def _summed(log_prob: Callable[[jax.Array], jax.Array], log_weights: jax.Array, z: jax.Array) -> jax.Array:
+def _log_sum(log_prob: Callable[[jax.Array], jax.Array], log_weights: jax.Array, z: jax.Array) -> jax.Array:
     """Log of the weighted sum of densities, from each of the points z `(x, n)`."""
     return pairs.against_all(lambda one: jax.nn.logsumexp(log_prob(one) + log_weights), z.T, log_weights.shape[0])
