@@ -57,8 +57,8 @@ from .filters.stream import stream as stream
 from .filters.unscented_kalman import UnscentedKalmanFilter as UnscentedKalmanFilter
 from .laws.conditional import AdditiveGaussian as AdditiveGaussian
 from .laws.conditional import AdditiveNoise as AdditiveNoise
-from .laws.conditional import Custom as Custom
 from .laws.conditional import LinearGaussian as LinearGaussian
+from .laws.custom import Custom as Custom
 from .laws.gaussian import Gaussian as Gaussian
 from .laws.independent import Independent as Independent
 from .laws.mixture import Mixture as Mixture

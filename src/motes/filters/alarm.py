@@ -18,7 +18,8 @@ from scipy.special import gammaincinv
 
 from motes.core import linalg, random
 from motes.laws.circular import wrap
-from motes.laws.conditional import AdditiveGaussian, Conditional, Custom, matrix_over
+from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over
+from motes.laws.custom import Custom
 from motes.laws.density import among, measured_in, zeroed
 from motes.laws.observed import Observed
 

@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom, LinearGaussian
+from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, LinearGaussian
+from motes.laws.custom import Custom
 from motes.laws.independent import Stacked, Together
 from motes.laws.observed import Observed, value_of
 from motes.laws.switching import SwitchingDynamics, SwitchingSensor

@@ -10,7 +10,7 @@ from motes.core import checks, random
 from motes.core.loop import loop, with_first
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
-from motes.laws.conditional import Custom
+from motes.laws.custom import Custom
 from motes.models.canonical import canonical, one_of
 from motes.models.interface import Model
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs

@@ -15,7 +15,8 @@ from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, MatrixLike
 from motes.laws.circular import near
-from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom, check_matrix
+from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, check_matrix
+from motes.laws.custom import Custom
 from motes.laws.law import Law, as_law, check_size, drawn
 from motes.models.correlated import Drive, decorrelated
 from motes.models.interface import Model, Wrap, exchanged

@@ -15,7 +15,8 @@ import numpy as np
 from motes.core import markdown
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs
-from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom
+from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional
+from motes.laws.custom import Custom
 from motes.laws.gaussian import Gaussian
 from motes.laws.observed import value_of
 from motes.models.canonical import canonical
