@@ -19,7 +19,6 @@ from .core.checks import MissingExtraError as MissingExtraError
 from .core.checks import MotesError as MotesError
 from .core.checks import MotesWarning as MotesWarning
 from .core.findings import Diagnosis as Diagnosis
-from .core.findings import Finding as Finding
 from .core.record import record as record
 from .core.record import replace as replace
 from .diagnostics.diagnose import diagnose as diagnose
@@ -76,6 +75,7 @@ from .models.simulate import simulate as simulate
 from .models.state_space import StateSpaceModel as StateSpaceModel
 from .models.structure import Structure as Structure
 from .models.structure import structure as structure
+from .models.times import times as times
 from .native.choice import engine as engine
 from .planning.plan import plan as plan
 from .plotting.plot import plot as plot

@@ -63,6 +63,7 @@ class History:
         descends: whether each particle of a cloud came from the one that it names as its ancestor.
         rounding: how coarse numbers are beside the noise (`filters/precision.py`), `(2, y)`; of joined pieces the largest; None in
             files of version 0.1.
+        times: of the steps, seconds, float64 `(t,)` (of dates Unix seconds), where measurements came with them (`times`); otherwise None.
     """
 
     kept: dict[str, Any]
@@ -79,6 +80,7 @@ class History:
     circular: tuple[int, ...] = static(default=())
     descends: bool = static(default=True)
     rounding: jax.Array | None = None
+    times: Any = None
 
     def __str__(self) -> str:
         """Print what was run and how it went, one line each."""
@@ -190,7 +192,7 @@ class History:
     def to_xarray(self) -> Any:
         """Return an `xarray.Dataset` with dimensions time, state and state2; needs the extra `results`."""
         xarray = checks.need("xarray", "results")
-        steps = int(self.start) + np.arange(np.shape(self.info.ess)[0])
+        steps = int(self.start) + np.arange(np.shape(self.info.ess)[0]) if self.times is None else np.asarray(self.times)
         data: dict[str, Any] = {}
         if "mean" in self.kept:
             data["mean"] = (("time", "state"), np.asarray(self.mean))
@@ -224,7 +226,7 @@ class History:
         checks.refuse(str(path), "a name that ends in .nc or .npz", path.suffix or "no ending", error=checks.FileError)
 
     def _data(self) -> dict[str, Any]:
-        return {"kept": self.kept, "info": self.info, "last": self.last, "start": self.start, "rounding": self.rounding}
+        return {name: getattr(self, name) for name in ("kept", "info", "last", "start", "rounding", "times")}
 
     def _forms(self) -> dict[str, Any]:
         """Return the forms of what can be anything; a law of the user's has none."""
@@ -272,7 +274,7 @@ class History:
         carry = Carry(state, evidence, suspicion, y, last.get("u"), jnp.asarray(last["step"]))
         traits = {name: texts[name] for name in _TRAITS if name in texts}
         rest = (jnp.asarray(tree["start"]), tuple(texts["names"]), texts["filter"])
-        traits |= {"circular": tuple(texts.get("circular", ())), "rounding": tree.get("rounding")}
+        traits |= {"circular": tuple(texts.get("circular", ())), "rounding": tree.get("rounding"), "times": tree.get("times")}
         return cls(kept, info, carry, *rest, **traits)
 
 
@@ -290,6 +292,8 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
     steps, x = forms["info"]["log_evidence"].shape[0], len(names)
     there = {field.name for field in fields(Info)} & set(forms["info"]) | {"ess", "collapsed", "invalid", "lowest", "highest", "shortfall"}
     archive.agree(path, forms, {f"info/{name}": ((steps,), kinds.get(name, "f")) for name in there})
+    if "times" in forms:
+        archive.agree(path, forms, {"times": ((steps,), "f")})
     if set(forms["info"]) - there:
         checks.refuse(f"{path}: info", "known records of steps", sorted(set(forms["info"]) - there)[0], "Read it with a newer motes.",
                       checks.FileError)
@@ -325,4 +329,5 @@ def joined(pieces: Sequence[History]) -> History:
         checks.refuse("pieces", "at least one history", "none")
     kept, info = jax.tree.map(lambda *parts: jnp.concatenate(parts), *[(piece.kept, piece.info) for piece in pieces])
     rounding = jax.tree.map(lambda *parts: jnp.max(jnp.stack(parts), axis=0), *[piece.rounding for piece in pieces])
-    return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start, rounding=rounding)
+    times = None if any(piece.times is None for piece in pieces) else np.concatenate([piece.times for piece in pieces])
+    return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start, rounding=rounding, times=times)

@@ -26,6 +26,7 @@ from motes.laws.observed import Observed
 from motes.models.canonical import one_of, shape_of
 from motes.models.interface import Model
 from motes.models.state_space import at_step
+from motes.models.times import Timeline
 from motes.native import report
 from motes.resampling import gradients
 from motes.tracing.compiling import jitted
@@ -52,7 +53,7 @@ def run(
         model: state-space, mixed linear or jump-Markov model.
         ys: measurements `(t, y)`, or, of a `Custom` sensor, arrays of any shape and type or trees of them, time axis first, or a list with
             one for each step; NaN, None, masked and NA mean not measured; the first is of x_0. An iterator of them, or of lists of
-            several, is gone through in pieces, so that they need not be in memory at once.
+            several, is gone through in pieces, so that they need not be in memory at once; what `times` gives has inputs and times, too.
         inputs: tree with the time axis first, or None; finite numbers in every row.
         keep: what to keep of each law (see `keep`).
         after: history of the steps before, to continue from with the same key; the result equals the uncut run, bit for bit.
@@ -61,6 +62,8 @@ def run(
         MotesError: measurements, inputs, filter and model do not fit each other.
         CollapseError: all weights vanished and the filter's `on_collapse` is "raise" (outside jit only).
     """
+    if isinstance(ys, Timeline):
+        return _run_along(key, filter, model, ys, inputs, keep, after)
     if isinstance(ys, Iterator):
         return _run_through(key, filter, model, ys, inputs, keep, after)
     key = random.key_or_data(key)
@@ -92,6 +95,15 @@ def run(
     if checks.is_concrete(history.info):
         notices.warn(history, after)
     return history
+
+
+def _run_along(
+    key: KeyLike, filter: Filter, model: Model, line: Timeline, inputs: Inputs, keep: Keep, after: History | None
+) -> History:
+    """Run over measurements that have times."""
+    if inputs is not None:
+        checks.refuse("run inputs", "none beside a timeline, which has them", "some", "Give them to mo.times(..., inputs=...).")
+    return replace(run(key, filter, model, line.ys, line.inputs, keep, after), times=line.start + line.seconds)
 
 
 def _run_through(

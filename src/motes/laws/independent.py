@@ -142,7 +142,9 @@ class Together(Conditional):
         found = []
         for name, part in self._by_name():
             if name in y.value:
-                own, there = y.value[name], _is_there(y.value[name])
+                own = y.value[name]
+                there = own.there if isinstance(own, Observed) else _is_there(own)
+                own = own.value if isinstance(own, Observed) else own
                 vector = not isinstance(own, Mapping) and jnp.ndim(own) < 2
                 found.append((part, jnp.atleast_1d(own) if vector else Observed(own, there), there))
         return found
