@@ -18,12 +18,12 @@ from .core.checks import FileError as FileError
 from .core.checks import MissingExtraError as MissingExtraError
 from .core.checks import MotesError as MotesError
 from .core.checks import MotesWarning as MotesWarning
-from .core.findings import Diagnosis as Diagnosis
 from .core.record import record as record
 from .core.record import replace as replace
 from .diagnostics.diagnose import diagnose as diagnose
 from .filters import keep as keep
 from .filters.adapting import Adapting as Adapting
+from .filters.adaptive_size import AdaptiveSize as AdaptiveSize
 from .filters.auxiliary import AuxiliaryParticleFilter as AuxiliaryParticleFilter
 from .filters.cost_reference import CostReferenceParticleFilter as CostReferenceParticleFilter
 from .filters.cubature_kalman import CubatureKalmanFilter as CubatureKalmanFilter

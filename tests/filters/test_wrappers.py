@@ -112,3 +112,51 @@ def test_a_study_compares_wrapped_filters():
 def test_what_cannot_be_is_refused(make, words):
     with pytest.raises(mo.MotesError, match=words):
         make()
+
+
+WIDE = mo.StateSpaceModel(mo.Gaussian(jnp.zeros(2), 400 * jnp.eye(2)), WALK.dynamics, WALK.sensor)
+SIZES = (100, 800, 6_000)
+SIZED = mo.AdaptiveSize(mo.ParticleFilter(n=1), SIZES, widths=(0.5, 0.5))
+
+
+def test_the_number_of_particles_follows_the_spread_of_the_law():
+    _, ys = mo.simulate(1, WIDE, 20)
+    ys = np.array(ys)
+    ys[8:14] = np.nan
+    place = lambda law: {**mo.keep.moments(law), "size": law.beside[0]}  # noqa: E731
+    history = mo.run(2, SIZED, WIDE, ys, keep=place)
+    sizes = np.asarray(history.kept["size"])
+    assert sizes[0] == 2 and sizes[7] < 2 and sizes[13] >= sizes[7]
+    exact = mo.run(2, mo.KalmanFilter(), WIDE, ys)
+    spread = np.sqrt(np.diagonal(np.asarray(exact.cov), axis1=1, axis2=2))
+    assert np.abs((np.asarray(history.mean) - np.asarray(exact.mean)) / spread).max() < 0.6
+    assert abs(float(history.log_likelihood) - float(exact.log_likelihood)) < 1.5
+
+
+@pytest.mark.optimized
+@pytest.mark.parametrize("filter", [SIZED, mo.AdaptiveSize(mo.Recovering(INNER, near), SIZES[:2], widths=(0.5, 0.5)),
+                                    mo.Recovering(mo.AdaptiveSize(INNER, SIZES[:2], widths=(0.5, 0.5)), near)],
+                         ids=["alone", "around recovering", "within recovering"])  # fmt: skip
+def test_sizes_change_in_a_stream_as_in_a_run(filter):
+    ys = YS[JUMP - 10 : JUMP + 10].copy() - YS[JUMP - 10]
+    ys[5] = np.nan
+    whole = mo.run(3, filter, WIDE, ys)
+    stream = mo.stream(3, filter, WIDE)
+    for t, y in enumerate(ys):
+        if t:
+            stream.predict()
+        stream.update(y)
+        assert np.array_equal(stream.mean, whole.mean[t]), t
+
+
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda: mo.AdaptiveSize(mo.KalmanFilter(), (1, 2), (1.0,)), "AdaptiveSize filter: expected one with a number of particles n"),
+    (lambda: mo.AdaptiveSize(INNER, (300, 200), (1.0,)), "AdaptiveSize sizes: expected numbers that increase"),
+    (lambda: mo.AdaptiveSize(INNER, (), (1.0,)), "AdaptiveSize sizes: expected a whole number of at least 1"),
+    (lambda: mo.AdaptiveSize(INNER, (200, 300), (1.0, 0.0)), "AdaptiveSize widths: expected a width above 0"),
+    (lambda: mo.AdaptiveSize(INNER, (200, 300), (1.0, 1.0), error=2.0), "AdaptiveSize error: expected a number between 0 and 1"),
+    (lambda: mo.run(0, mo.AdaptiveSize(INNER, (200, 300), (1.0,)), WALK, YS[:2]), "AdaptiveSize widths: expected one for each of 2 states"),
+])  # fmt: skip
+def test_sizes_that_cannot_be_are_refused(make, words):
+    with pytest.raises(mo.MotesError, match=words):
+        make()

@@ -14,7 +14,7 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters.info import Info
 from motes.filters.interface import Guide
-from motes.filters.wrapper import Wrapper
+from motes.filters.wrapper import Wrapper, cloud_of, with_cloud
 from motes.laws.carried import Carried
 from motes.laws.cloud import Cloud
 from motes.laws.observed import is_nothing, value_of
@@ -76,7 +76,7 @@ class Recovering(Wrapper):
 
     def begun(self, key: jax.Array, model: Any, law: Any) -> Any:
         """Begin with no evidence: logs of the slow and of the fast mean."""
-        none = jnp.full((), -jnp.inf, _cloud(law).log_weights.dtype)
+        none = jnp.full((), -jnp.inf, cloud_of("Recovering", law).log_weights.dtype)
         return none, none
 
     def after(self, key: jax.Array, before: Carried, law: Any, info: Info, y: Any, u: Any, t: Any) -> tuple[Carried, Info]:
@@ -87,7 +87,7 @@ class Recovering(Wrapper):
                       for mean, share in zip(before.beside, (self.slow, self.fast), strict=True))  # fmt: skip
         known = jnp.isfinite(slow)
         rate = jnp.where(missing | ~known, 0, jnp.clip(1 - self.margin * jnp.exp(fast - jnp.where(known, slow, 0)), 0, 1))
-        cloud = _cloud(law)
+        cloud = cloud_of("Recovering", law)
 
         def anew() -> tuple[Cloud, jax.Array]:
             n = cloud.log_weights.shape[0]
@@ -100,21 +100,10 @@ class Recovering(Wrapper):
 
         cloud, share = jax.lax.cond(rate > 0, anew, lambda: (cloud, jnp.zeros_like(rate)))
         size = jnp.where(share > 0, logspace.effective_size(cloud.log_weights), info.ess)
-        return Carried(_with_cloud(law, cloud), (slow, fast)), replace(info, recovered=share, ess=size)
+        return Carried(with_cloud(law, cloud), (slow, fast)), replace(info, recovered=share, ess=size)
 
 
 def _mixed(log_mean: jax.Array, log_value: jax.Array, share: float) -> jax.Array:
     """Log of a running mean with one more value in it; the first value is the mean."""
     mixed = jnp.logaddexp(jnp.log1p(-share) + log_mean, jnp.log(jnp.asarray(share, log_mean.dtype)) + log_value)
     return jnp.where(jnp.isfinite(log_mean), mixed, log_value)
-
-
-def _cloud(law: Any) -> Cloud:
-    """Return the particles of a law, whatever is carried beside them."""
-    if isinstance(law, Carried):
-        return _cloud(law.law)
-    return checks.instance("Recovering filter", law, Cloud, "one whose law is a Cloud, such as ParticleFilter")
-
-
-def _with_cloud(law: Any, cloud: Cloud) -> Any:
-    return replace(law, law=_with_cloud(law.law, cloud)) if isinstance(law, Carried) else cloud

@@ -53,7 +53,7 @@ def run(
         model: state-space, mixed linear or jump-Markov model.
         ys: measurements `(t, y)`, or, of a `Custom` sensor, arrays of any shape and type or trees of them, time axis first, or a list with
             one for each step; NaN, None, masked and NA mean not measured; the first is of x_0. An iterator of them, or of lists of
-            several, is gone through in pieces, so that they need not be in memory at once; what `times` gives has inputs and times, too.
+            several, is gone through in pieces that fit into memory; what `times` gives has inputs and times, too.
         inputs: tree with the time axis first, or None; finite numbers in every row.
         keep: what to keep of each law (see `keep`).
         after: history of the steps before, to continue from with the same key; the result equals the uncut run, bit for bit.
@@ -62,10 +62,8 @@ def run(
         MotesError: measurements, inputs, filter and model do not fit each other.
         CollapseError: all weights vanished and the filter's `on_collapse` is "raise" (outside jit only).
     """
-    if isinstance(ys, Timeline):
-        return _run_along(key, filter, model, ys, inputs, keep, after)
-    if isinstance(ys, Iterator):
-        return _run_through(key, filter, model, ys, inputs, keep, after)
+    if isinstance(ys, (Timeline, Iterator)):
+        return (_run_along if isinstance(ys, Timeline) else _run_through)(key, filter, model, ys, inputs, keep, after)  # type: ignore[operator]
     key = random.key_or_data(key)
     if not isinstance(filter, Filter):
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)

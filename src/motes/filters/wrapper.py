@@ -14,6 +14,7 @@ from motes.core.record import record, replace
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.laws.carried import Carried
+from motes.laws.cloud import Cloud
 
 
 @record
@@ -123,3 +124,19 @@ class Wrapper(Filter):
         # numbers of its own, and the same bits whether the inner filter took its step in one or in two
         law, info = jax.lax.optimization_barrier(taken)
         return self.after(random.child(key, random.FILTER), before, law, info, y, u, t)
+
+
+def cloud_of(asked_by: str, law: Any) -> Cloud:
+    """Return the particles of a law, whatever is carried beside them.
+
+    Raises:
+        MotesError: it has none.
+    """
+    if isinstance(law, Carried):
+        return cloud_of(asked_by, law.law)
+    return checks.instance(f"{asked_by} filter", law, Cloud, "one whose law is a Cloud, such as ParticleFilter")
+
+
+def with_cloud(law: Any, cloud: Cloud) -> Any:
+    """Return a law with other particles, and all that is carried beside them as it was."""
+    return replace(law, law=with_cloud(law.law, cloud)) if isinstance(law, Carried) else cloud
