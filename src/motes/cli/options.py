@@ -78,6 +78,20 @@ def from_toml(kind: type[Settings], path: str) -> Settings:
         FileError: the file is missing, larger than 1 MB or not UTF-8, or is no TOML; the message names the line.
         MotesError: a key is unknown or a value has another kind; the message names it.
     """
+    return from_table(kind, read_toml(path), path)
+
+
+def from_table(kind: type[Settings], table: dict[str, Any], path: str) -> Settings:
+    """Return settings from the table of a TOML file; see `from_toml`."""
+    return _from_table(kind, table, Path(path), "")
+
+
+def read_toml(path: str) -> dict[str, Any]:
+    """Read the table of a TOML file.
+
+    Raises:
+        FileError: see `from_toml`.
+    """
     from motes.io.files import foreign, look, reject
 
     size, _ = look(path, 1)
@@ -88,8 +102,7 @@ def from_toml(kind: type[Settings], path: str) -> Settings:
         # the parser takes time and memory with the square of the parts of a key
         if text.count(".") > DOTS:
             reject(path, f"a TOML file with at most {DOTS} points", text.count("."))
-        table = tomllib.loads(text)
-    return _from_table(kind, table, Path(path), "")
+        return tomllib.loads(text)
 
 
 def from_file_and_flags(kind: type[Settings], words: Sequence[str], usage: str) -> Settings:

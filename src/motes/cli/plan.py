@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from motes.cli.compiled import keep_programs
 from motes.cli.options import check_seed, from_file_and_flags, refuse
+from motes.cli.own import is_own
 from motes.cli.run import Config
 
 USAGE = "motes plan CONFIG.toml"
@@ -40,6 +41,10 @@ def main(words: Sequence[str]) -> None:
     Raises:
         MotesError: the file, what it names, or an option cannot be used; or no candidate fits the budget.
     """
+    if is_own(words):
+        from motes.cli import plan_own
+
+        return plan_own.main(words)
     config = from_file_and_flags(Planning, words, USAGE)
     budget = seconds(config.budget)
     check_seed(config.seed)
