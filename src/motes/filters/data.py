@@ -25,8 +25,8 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     if isinstance(ys, Observed):
         return ys, checked_inputs(inputs, steps_of(ys), "ys")
     ys = _with_rows(ys)
-    whole = _stacked(ys) if isinstance(ys, (list, tuple)) and _is_array(ys) else None
-    if whole is not None or not _is_array(ys) or _rank(ys) > 2:
+    whole = _stacked(ys) if isinstance(ys, (list, tuple)) and is_array(ys) else None
+    if whole is not None or not is_array(ys) or _rank(ys) > 2:
         found = _observed(sensors, ys if whole is None else whole[0], dtype, None if whole is None else whole[1])
         return found, checked_inputs(inputs, steps_of(found), "ys")
     ys = _numbers("ys", ys, dtype)
@@ -61,7 +61,7 @@ def _numbers(argument: str, ys: Any, dtype: Any) -> Any:
     return np.asarray(ys, dtype) if isinstance(ys, np.ndarray) else jnp.asarray(ys, dtype)
 
 
-def _is_array(value: Any) -> bool:
+def is_array(value: Any) -> bool:
     """Tell an array, or what NumPy makes one of (a list too), from a tree of arrays."""
     return type(value) in (list, tuple) or (not isinstance(value, Mapping) and jax.tree_util.all_leaves([value]))
 
@@ -70,7 +70,7 @@ def _with_rows(ys: Any) -> Any:
     """Return a list of vectors with NaN in place of those that are None."""
     if type(ys) not in (list, tuple) or not any(one is None for one in ys):
         return ys
-    sizes = {np.shape(one) for one in ys if one is not None and _is_array(one) and _rank(one) == 1}
+    sizes = {np.shape(one) for one in ys if one is not None and is_array(one) and _rank(one) == 1}
     return [np.full(next(iter(sizes)), np.nan) if one is None else one for one in ys] if len(sizes) == 1 else ys
 
 
@@ -85,8 +85,9 @@ def _rank(value: Any) -> int:
 def _stacked(steps: Sequence[Any]) -> tuple[Any, np.ndarray] | None:
     """Put measurements that come one by one, None where there was none, behind one another; None if they are rows of numbers."""
     there = np.array([one is not None for one in steps])
+    steps = [checks.as_numbers("ys", one) if one is not None and is_array(one) and _rank(one) > 1 else one for one in steps]
     some = [one for one in steps if one is not None]
-    if not some or (_is_array(some[0]) and _rank(some[0]) < 2):
+    if not some or (is_array(some[0]) and _rank(some[0]) < 2):
         return None
     blank = jax.tree.map(lambda leaf: np.zeros_like(leaf) if not _is_real(leaf) else np.full_like(leaf, np.nan), some[0])
     forms = {str(jax.tree.map(lambda leaf: (np.shape(leaf), str(np.asarray(leaf).dtype)), one)) for one in some}
@@ -108,7 +109,7 @@ def _observed(sensors: list[Any], ys: Any, dtype: Any, there: np.ndarray | None)
         dtype: type of the states, which other numbers with a point get, too.
         there: at which steps there was a measurement at all, `(t,)`; None where the numbers say it.
     """
-    given = f"an array of shape {np.shape(ys)}" if _is_array(ys) else f"a {type(ys).__name__}"
+    given = f"an array of shape {np.shape(ys)}" if is_array(ys) else f"a {type(ys).__name__}"
     for sensor in sensors:
         if not sensor.measures_anything:
             checks.refuse("ys", f"shape (t, y), as {type(sensor).__name__} measures", given, "Write a Custom sensor for it.")

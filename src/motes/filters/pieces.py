@@ -34,17 +34,17 @@ def pieces(model: Model, measurements: Iterator[Any], inputs: Inputs) -> Iterato
     first = next(steps, None)
     if first is None:
         checks.refuse("ys", "at least one measurement", "an iterator without any")
-    some = next((one for one in (first[0],) if one is not None), None)
-    size = max(1, sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(some)))
-    length = int(np.clip(BYTES // size, 1, STEPS))
     rows = inputs if isinstance(inputs, Iterator) else None
     columns = (SpinnerColumn(), TextColumn("{task.description}"), MofNCompleteColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, disable=not is_shown(console, None), transient=True) as progress:
-        task, done, begun = progress.add_task("steps", total=None), 0, []
+        task, done, length, begun = progress.add_task("steps", total=None), 0, 0, []
         for (one,) in chain([first], steps):
             begun.append(one)
-            if len(begun) == length:
+            if not length and one is not None:
+                size = sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(one))
+                length = int(np.clip(BYTES // max(1, size), 1, STEPS))
+            if length and len(begun) >= length:
                 yield begun, _inputs_of(inputs, rows, done, len(begun))
                 done, begun = done + len(begun), []
                 progress.update(task, completed=done)
@@ -59,7 +59,7 @@ def pieces(model: Model, measurements: Iterator[Any], inputs: Inputs) -> Iterato
 def _one_by_one(measurements: Iterator[Any], vectors: bool) -> Iterator[tuple[Any]]:
     """Give each measurement in a tuple of its own: None is one, too."""
     for item in measurements:
-        if isinstance(item, list) and not (vectors and np.ndim(item) == 1):
+        if isinstance(item, list) and not (vectors and all(np.ndim(one) == 0 for one in item if one is not None)):
             yield from ((one,) for one in item)
         elif vectors and np.ndim(item) == 2:
             yield from ((row,) for row in np.asarray(item))

@@ -11,7 +11,7 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.types import Inputs, KeyLike
-from motes.filters.data import checked_data, refuse_infinite
+from motes.filters.data import checked_data, is_array, refuse_infinite
 from motes.filters.history import Carry, History, ask_evidence, measurement_form
 from motes.filters.info import Info
 from motes.filters.interface import Filter
@@ -199,8 +199,11 @@ class Stream:
     def _checked(self, y: Any) -> Any:
         if y is None:
             return self._nothing()
-        if self._carry is None or isinstance(self._carry.y, Observed):
-            rows = jax.tree.map(lambda leaf: np.atleast_1d(checks.as_numbers("y", leaf))[None], y)
+        if self._carry is None or isinstance(self._carry.y, Observed) or not is_array(y):
+            if is_array(y):
+                rows = np.atleast_1d(checks.as_numbers("y", y))[None]
+            else:
+                rows = jax.tree.map(lambda leaf: np.asarray(checks.as_numbers("y", leaf))[None], y)
             found = jax.tree.map(lambda leaf: leaf[0], checked_data(self.model, rows, None)[0])
             form, first = (jax.tree.map(shape_of, one) for one in (found, found if self._carry is None else self._carry.y))
             if form != first:
