@@ -1,7 +1,7 @@
 """Measurements that come one after the other, from a file longer than memory or a device: gathered into pieces of a few megabytes."""
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, islice
 from typing import Any
 
 import jax
@@ -70,7 +70,7 @@ def _one_by_one(measurements: Iterator[Any], vectors: bool) -> Iterator[tuple[An
 def _inputs_of(inputs: Inputs, rows: Iterator[Any] | None, begin: int, count: int) -> Inputs:
     if rows is None:
         return jax.tree.map(lambda leaf: leaf[begin : begin + count], inputs)
-    found = [row for row, _ in zip(rows, range(count), strict=False)]
+    found = list(islice(rows, count))
     if len(found) < count:
         checks.refuse("inputs", f"inputs of step {begin + len(found)}, which has a measurement", "no more")
     return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
