@@ -42,7 +42,8 @@ night:
 # the tests that run filters, once more with the native engine; CI asks for the contract alone
 NATIVE := tests/contract tests/filters tests/oracles tests/applications tests/laws tests/resampling
 test-native: $(STAMP)
-	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup $(NATIVE)
+	@XLA_FLAGS="$$($(BIN)/python tests/quick.py)" MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized" $(NATIVE)
+	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup -m optimized $(NATIVE)
 
 # the contract, traced programs and the native engine once more, on the newest Python that is here and the newest JAX for it
 test-newest:

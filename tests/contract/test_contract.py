@@ -23,6 +23,7 @@ KINDS = first_of_kinds(FILTERS)
 FEW = first_of_kinds(FILTERS, lambda filter: filter.look_ahead)
 """One filter that looks ahead, and one that does not."""
 BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "likelihood": KINDS,
+          **dict.fromkeys(("missing", "weights", "fewest"), KINDS),
           **dict.fromkeys(("stream", "unmeasured", "checkpoint", "cut"), KINDS | {"ParticleFilter"}),
           **dict.fromkeys(("vmapped", "inflation", "smallest", "eager", "derivative"), FEW)}  # fmt: skip
 """Filters that are asked a rule by day, all others being asked by night; of rules not named here, those of `CLASSES`."""
