@@ -177,7 +177,7 @@ def test_states_that_a_density_does_not_see_go_to_a_kalman_filter():
     xs, _ = mo.simulate(0, steady, 30)
     ys = as_frame(np.clip(np.asarray(xs)[:, :2], -12, 12))
     read = FORMS["frame"][1]
-    named = mo.Custom(lambda *_: None, lambda value, p, u, t: -0.5 * jnp.sum((read(value) - p) ** 2), states=("px", "py"))
+    named = mo.Custom(log_prob=lambda value, p, u, t: -0.5 * jnp.sum((read(value) - p) ** 2), states=("px", "py"))
     found = mo.Custom(log_prob=lambda value, x, u, t: -0.5 * jnp.sum((read(value) - x[:2]) ** 2))
     models = [mo.StateSpaceModel(steady.initial, steady.dynamics, sensor, steady.names) for sensor in (named, found)]
     histories = [mo.run(1, mo.MarginalizedParticleFilter(n=500), one, ys) for one in models]

@@ -41,7 +41,7 @@ def test_one_gaussian_is_one_cluster(size, seed):
 
 def test_copies_and_weights_of_zero_make_no_clusters():
     cloud = three(300)
-    copied = cloud.resampled(jnp.repeat(jnp.arange(30), 10))
+    copied = cloud.resampled(jnp.repeat(jnp.arange(150), 5))
     assert np.count_nonzero(np.asarray(copied.modes().weight) > 0.05) == 3
     heavy = jnp.where(cloud.particles[0] > 5, -jnp.inf, cloud.log_weights)
     one_less = mo.laws.Cloud(cloud.particles, heavy - jax.nn.logsumexp(heavy), cloud.ancestors)

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import io
 import os
+import re
 import reprlib
 import tomllib
 import types
@@ -16,6 +17,7 @@ Settings = TypeVar("Settings")
 LARGEST = 1 << 20
 DOTS = 3000
 LARGEST_WHOLE = 10**300
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 KINDS = {int: "a whole number", float: "a number", str: "text in quotes", bool: "true or false", tuple: "a list of texts"}
 
 
@@ -208,3 +210,15 @@ def _expanded(path: str) -> str:
     if found.startswith("~"):
         refuse("path", "a home folder that there is", shown(path), "Write ./ in front where a name begins with ~.")
     return found
+
+
+def seconds(text: str) -> float:
+    """Return seconds from a number with a unit.
+
+    Raises:
+        MotesError: it is none.
+    """
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*(s|ms|us)\s*", text)
+    if not found or not float(found[1]) > 0:
+        refuse("budget", "a time with its unit, such as 5ms, 200us or 0.1s", repr(text))
+    return float(found[1]) * UNITS[found[2]]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from motes.cli.compiled import keep_programs
-from motes.cli.options import check_seed
+from motes.cli.options import check_seed, seconds
 from motes.cli.own import made, settings_of
 
 USAGE = "motes plan MODULE:FUNCTION"
@@ -39,8 +39,6 @@ def main(words: Sequence[str]) -> None:
     Raises:
         MotesError: an option or the user's function cannot be used; or no candidate fits the budget.
     """
-    from motes.cli.plan import seconds
-
     settings, choices = settings_of(Planning, words, USAGE)
     budget = seconds(settings.budget)
     check_seed(settings.seed)

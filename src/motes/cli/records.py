@@ -6,6 +6,7 @@ A choice is a name, or a table whose `kind` is the name and whose other keys are
 """
 
 import dataclasses
+import importlib
 import inspect
 import re
 import tomllib
@@ -17,6 +18,8 @@ from typing import Any
 from motes.cli.options import KINDS, refuse, shown
 
 KIND = "kind"
+ROOMS = ("motes", "motes.filters", "motes.resampling", "motes.smoothers", "motes.gaussian")
+"""Where the records are that a user can name."""
 
 
 def spelled(name: str) -> str:
@@ -30,9 +33,7 @@ def spelled(name: str) -> str:
 
 def kinds(base: type) -> dict[str, type]:
     """Return the records of a kind that a user can name, by the name of their class."""
-    import motes as mo
-
-    rooms = [mo, mo.filters, mo.resampling, mo.smoothers, mo.gaussian]
+    rooms = [importlib.import_module(room) for room in ROOMS]
     found = [getattr(room, name) for room in rooms for name in room.__all__]
     return {one.__name__: one for one in found if inspect.isclass(one) and issubclass(one, base) and not inspect.isabstract(one)
             and dataclasses.is_dataclass(one)}  # fmt: skip
@@ -67,10 +68,10 @@ def build(base: type, choice: Any, place: str) -> Any:
     if missing:
         refuse(f"{place} {missing[0]}", f"a value, which {kind.__name__} asks for", "none", f"Give --{place}.{missing[0]}.")
     hints = typing.get_type_hints(kind)
-    return kind(**{name: _value(hints[name], value, f"{place} {name}") for name, value in given.items()})
+    return kind(**{name: _field_value(hints[name], value, f"{place} {name}") for name, value in given.items()})
 
 
-def _value(hint: Any, value: Any, place: str) -> Any:
+def _field_value(hint: Any, value: Any, place: str) -> Any:
     """Return a value in the kind of its field."""
     options = typing.get_args(hint) if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union else (hint,)
     if value in ("none", "None") and types.NoneType in options:

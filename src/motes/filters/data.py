@@ -129,8 +129,12 @@ def _observed(sensors: list[Any], ys: Any, dtype: Any, there: np.ndarray | None)
         silent = [module.isnan(leaf).all(axis=1) for leaf in real]
         there = ~module.stack(silent).all(axis=0) if len(real) == len(leaves) else module.ones(steps, bool)
     if real and checks.is_concrete(found):
-        missing = [np.isnan(np.asarray(leaf)) for leaf in real]
-        _ask_whole(sensors, np.stack([leaf.any(axis=1) for leaf in missing]).any(axis=0) & np.asarray(there))
+        for sensor in sensors:
+            for part, own in sensor.each(found):
+                gaps = [np.isnan(np.asarray(leaf)).reshape(steps, -1) for leaf in jax.tree.leaves(own) if _is_real(leaf)]
+                some = np.stack([leaf.any(axis=1) for leaf in gaps]).any(axis=0) if gaps else np.zeros(steps, bool)
+                every = np.stack([leaf.all(axis=1) for leaf in gaps]).all(axis=0) if gaps else some
+                _ask_whole([part], some & ~every & np.asarray(there))
     return Observed(found, there)
 
 

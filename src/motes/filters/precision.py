@@ -31,7 +31,7 @@ def rounding(model: Model, ys: Any, u: Any) -> jax.Array:
     """
     models = model.each_mode()
     found = [_of_one(part, ys, u) for part in models if part.sensor.has_moments and not isinstance(part.initial, Foreign)]
-    return jnp.max(jnp.stack(found), axis=0) if found else jnp.zeros((2, 0 if isinstance(ys, Observed) else ys.shape[1]), model.dtype)
+    return jnp.max(jnp.stack(found), axis=0) if found else jnp.zeros((2, 1 if isinstance(ys, Observed) else ys.shape[1]), model.dtype)
 
 
 def _of_one(model: StateSpaceModel, ys: jax.Array, u: Any) -> jax.Array:

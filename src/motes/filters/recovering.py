@@ -83,7 +83,7 @@ class Recovering(Wrapper):
         """Draw particles anew where the evidence has fallen."""
         missing = is_nothing(y)
         evidence = jax.lax.stop_gradient(jnp.where(info.collapsed | jnp.isnan(info.log_evidence), -jnp.inf, info.log_evidence))
-        slow, fast = (jnp.where(missing, mean, _mixed(mean, evidence, share))
+        slow, fast = (jnp.where(missing, mean, _running_mean(mean, evidence, share))
                       for mean, share in zip(before.beside, (self.slow, self.fast), strict=True))  # fmt: skip
         known = jnp.isfinite(slow)
         rate = jnp.where(missing | ~known, 0, jnp.clip(1 - self.margin * jnp.exp(fast - jnp.where(known, slow, 0)), 0, 1))
@@ -103,7 +103,7 @@ class Recovering(Wrapper):
         return Carried(with_cloud(law, cloud), (slow, fast)), replace(info, recovered=share, ess=size)
 
 
-def _mixed(log_mean: jax.Array, log_value: jax.Array, share: float) -> jax.Array:
+def _running_mean(log_mean: jax.Array, log_value: jax.Array, share: float) -> jax.Array:
     """Log of a running mean with one more value in it; the first value is the mean."""
     mixed = jnp.logaddexp(jnp.log1p(-share) + log_mean, jnp.log(jnp.asarray(share, log_mean.dtype)) + log_value)
     return jnp.where(jnp.isfinite(log_mean), mixed, log_value)

@@ -97,7 +97,7 @@ def setup(key: jax.Array, filter: Filter, model: Model, u: Inputs, y: Any) -> Se
     u = filter.seen_inputs(u)
     model.check(u)
     size = None if isinstance(y, Observed) else model.measurement_size(u)
-    if size not in (None, y.shape[0]):
+    if size is not None and size != y.shape[0]:
         checks.refuse("ys", f"shape (t, {size}), as the sensor measures", f"{y.shape[0]} components")
     independent, drive = model.independent()
     driven = drive.of(u, u, nothing_like(y))

@@ -19,7 +19,7 @@ from motes.filters.late import Past, joined_measurement
 from motes.filters.setup import Setup, canonical_parts, carry_like, setup
 from motes.io import archive
 from motes.io.members import Form
-from motes.laws.observed import Observed, nothing_like
+from motes.laws.observed import Observed, nothing_like, value_of
 from motes.models.canonical import shape_of
 from motes.models.interface import Model
 from motes.models.state_space import numbers_of
@@ -330,7 +330,7 @@ def _measured(stored: Any, dtype: Any) -> Any:
 
 
 def _in_short(form: Any) -> str:
-    return ", ".join(f"{leaf.dtype}{list(leaf.shape)}" for leaf in jax.tree.leaves(form))
+    return ", ".join(f"{leaf.dtype}{list(leaf.shape)}" for leaf in jax.tree.leaves(value_of(form)))
 
 
 def stream(key: KeyLike, filter: Filter, model: Model, inputs: Inputs = None, lag: int = 0) -> Stream:

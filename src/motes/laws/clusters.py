@@ -2,7 +2,8 @@
 
 1. Take some points that stand for all, evenly along the weights; the density at each is told by the distance to its k-th neighbor.
 2. Link each to the nearest point of higher density. Those whose link would be long beside the spacing of points are the modes.
-3. Every point belongs to the mode at the end of the links of its nearest representative; moments are those of all points of a cluster.
+3. Join modes between which the density hardly falls.
+4. Every point belongs to the mode at the end of the links of its nearest representative; moments are those of all points of a cluster.
 """
 
 from typing import NamedTuple
@@ -14,6 +15,8 @@ MOST = 256
 """Points that stand for all."""
 LONG = 3.0
 """A link longer than so many distances to the k-th neighbor is none."""
+SHALLOW, ROUNDS = 1.0, 4
+"""Modes are one where the density between them falls by less than a factor exp(1); neighbors are joined so many times."""
 
 
 class Clusters(NamedTuple):
@@ -78,15 +81,40 @@ def _squares(points: jax.Array, others: jax.Array) -> jax.Array:
 
 def _roots(points: jax.Array) -> jax.Array:
     """Index of the mode of each of m points `(x, m)`."""
-    m = points.shape[1]
+    size, m = points.shape
     apart = jnp.sqrt(_squares(points, points))
     radius = jnp.sort(apart, axis=1)[:, min(m - 1, max(2, round(m**0.5)))]
     # copies of one point have no spacing of their own
-    radius = jnp.maximum(radius, jnp.median(radius))
-    place = jnp.arange(m)
-    denser = (radius[None] < radius[:, None]) | ((radius[None] == radius[:, None]) & (place[None] < place[:, None]))
-    distance = jnp.where(denser, apart, jnp.inf)
-    link = jnp.where(jnp.min(distance, axis=1) <= LONG * radius, jnp.argmin(distance, axis=1), place)
-    for _ in range(max(1, (m - 1).bit_length())):
+    radius = jnp.maximum(radius, 0.5 * jnp.median(radius))
+    height = -size * jnp.log(jnp.where(radius > 0, radius, 1))
+    distance = jnp.where(_higher(height), apart, jnp.inf)
+    near = jnp.min(distance, axis=1) <= LONG * radius
+    root = _ends(jnp.where(near, jnp.argmin(distance, axis=1), jnp.arange(m)))
+    touching = apart <= jnp.maximum(radius[:, None], radius)
+    for _ in range(ROUNDS):
+        root = _merged(root, height, touching)
+    return root
+
+
+def _higher(height: jax.Array) -> jax.Array:
+    """Whether the point of a column is higher than that of a row, `(m, m)`; of equal ones the first is."""
+    place = jnp.arange(height.shape[0])
+    return (height[None] > height[:, None]) | ((height[None] == height[:, None]) & (place[None] < place[:, None]))
+
+
+def _ends(link: jax.Array) -> jax.Array:
+    """Where the links of each point end."""
+    for _ in range(max(1, (link.shape[0] - 1).bit_length())):
         link = link[link]
     return link
+
+
+def _merged(root: jax.Array, height: jax.Array, touching: jax.Array) -> jax.Array:
+    """Join modes to higher ones between which the density hardly falls: what noise of the estimate makes is no mode."""
+    m = height.shape[0]
+    pass_height = jnp.where(touching & (root[:, None] != root), jnp.minimum(height[:, None], height), -jnp.inf)
+    saddle = jnp.full((m, m), -jnp.inf, height.dtype).at[:, root].max(pass_height)
+    saddle = jnp.full((m, m), -jnp.inf, height.dtype).at[root].max(saddle)
+    saddle = jnp.where(_higher(height), saddle, -jnp.inf)
+    to, over = jnp.argmax(saddle, axis=1), jnp.max(saddle, axis=1)
+    return _ends(jnp.where(height - over < SHALLOW, to, jnp.arange(m)))[root]

@@ -57,6 +57,10 @@ class Conditional(ABC):
         """Return the same for a model whose states have these names; conditionals that name states look them up here."""
         return self
 
+    def each(self, value: Any) -> list[tuple["Conditional", Any]]:
+        """Return the sensors that a measurement is of, each with what it measured of it."""
+        return [(self, value)]
+
     def packed(self, ys: Any) -> Any:
         """Return measurements as they come, time axis first, in the form in which they are computed with; as they are by default."""
         return ys

@@ -107,6 +107,10 @@ class Together(Conditional):
         """Whether all sensors do."""
         return all(part.marginalizes for part in self.parts)
 
+    def each(self, value: Any) -> list[tuple[Conditional, Any]]:
+        """Return the sensors of which there are measurements, each with its own."""
+        return [(part, value[name]) for name, part in self._by_name() if isinstance(value, Mapping) and name in value]
+
     def of_states(self, names: tuple[str, ...]) -> "Together":
         """Look up the states that sensors name."""
         return Together(self.of_parts, tuple(part.of_states(names) for part in self.parts))

@@ -1,1 +1,2 @@
 from . import terrain as terrain
+from . import textbook as textbook

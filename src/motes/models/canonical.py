@@ -77,7 +77,7 @@ def _canonical_custom(name: str, part: Custom, x: Any, u: Any, value: Any) -> di
     density, digest = part.density, part.digest
     if value is not None and digest is not None:
         digest = canonical_function(digest, (value, u, t), f"{name} digest(value, u, t)")
-        value = jax.tree.map(shape_of, jax.eval_shape(digest, value, u, t))
+        value = jax.tree.map(shape_of, jax.eval_shape(lambda *args: digest(*args), value, u, t))
     if value is not None:
         density = canonical_function(density, (value, x, u, t), f"{name} log_prob(value, x, u, t)")
     return {"sampler": sampler, "density": density, "digest": digest}

@@ -159,7 +159,7 @@ def looked_at(model: Any, inputs: Inputs, y: Any) -> Any:
     if not isinstance(model, StateSpaceModel) or not isinstance(sensor, Custom) or sensor.states is not None or sensor.density is None:
         return model
     x, t = jax.ShapeDtypeStruct((model.size,), model.dtype), jax.ShapeDtypeStruct((), jnp.int32)
-    value = value_of(y) if sensor.digest is None else jax.eval_shape(sensor.digest, value_of(y), inputs, t)
+    value = value_of(y) if sensor.digest is None else jax.eval_shape(lambda *args: sensor.digest(*args), value_of(y), inputs, t)
     if sum(leaf.size for leaf in jax.tree.leaves(value)) > _LARGE:
         return model
     density = lambda v, x, u, t: sensor.density(v, x[:, None] if sensor.batched else x, u, t)  # noqa: E731
