@@ -36,7 +36,7 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     inputs = checked_inputs(inputs, ys.shape[0], "ys")
     if checks.is_concrete(ys):
         missing = np.isnan(np.asarray(ys))
-        _ask_whole(sensors, missing.any(axis=1) & ~missing.all(axis=1))
+        _ask_whole(sensors, np.asarray(missing.any(axis=1) & ~missing.all(axis=1)))
     return ys, inputs
 
 
@@ -100,7 +100,7 @@ def _is_real(leaf: Any) -> bool:
     return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
 
 
-def _observed(sensors: list[Any], ys: Any, dtype: Any, there: np.ndarray | None) -> Observed:
+def _observed(sensors: list[Any], ys: Any, dtype: Any, there: Any) -> Observed:
     """Return measurements of any form, time axis first.
 
     Args:
@@ -122,7 +122,7 @@ def _observed(sensors: list[Any], ys: Any, dtype: Any, there: np.ndarray | None)
     lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(found)}
     if len(lengths) != 1 or lengths & {0, None}:
         checks.refuse("ys", "arrays with the time axis first, one length, at least one step", f"first axes {sorted(map(str, lengths))}")
-    steps, leaves = next(iter(lengths)), jax.tree.leaves(found)
+    steps, leaves = steps_of(found), jax.tree.leaves(found)
     real = [leaf.reshape(steps, -1) for leaf in leaves if _is_real(leaf)]
     module = np if checks.is_concrete(found) and not any(isinstance(leaf, jax.Array) for leaf in leaves) else jnp
     if there is None:

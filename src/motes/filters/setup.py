@@ -96,9 +96,8 @@ def setup(key: jax.Array, filter: Filter, model: Model, u: Inputs, y: Any) -> Se
     """
     u = filter.seen_inputs(u)
     model.check(u)
-    size = None if isinstance(y, Observed) else model.measurement_size(u)
-    if size is not None and size != y.shape[0]:
-        checks.refuse("ys", f"shape (t, {size}), as the sensor measures", f"{y.shape[0]} components")
+    if not isinstance(y, Observed) and model.measurement_size(u) not in (None, y.shape[0]):
+        checks.refuse("ys", f"shape (t, {model.measurement_size(u)}), as the sensor measures", f"{y.shape[0]} components")
     independent, drive = model.independent()
     driven = drive.of(u, u, nothing_like(y))
     return Setup(key, filter, model, filter.prepare(looked_at(independent, driven, y), driven), drive)

@@ -214,7 +214,8 @@ class LinearGaussian(AdditiveGaussian):
         A = check_matrix("LinearGaussian A", A)
         AdditiveGaussian.__init__(self, _linear, Q, angles)
         if not callable(A) and not callable(self.Q):
-            checks.shape("LinearGaussian Q", self.Q, (A.shape[0], A.shape[0]), "(rows of A)")
+            rows = jnp.shape(A)[0]
+            checks.shape("LinearGaussian Q", self.Q, (rows, rows), "(rows of A)")
         object.__setattr__(self, "A", A)
 
     def mean(self, x: jax.Array, u: Any, t: Any) -> jax.Array:

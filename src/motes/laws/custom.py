@@ -99,7 +99,7 @@ class Custom(Conditional):
 
     def own(self, X: jax.Array) -> jax.Array:
         """Return of states `(x, *n)` those that the functions are given."""
-        return X if self.states is None else linalg.take(X, self.states)
+        return X if self.states is None else linalg.take(X, self.states)  # type: ignore[arg-type]
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> Any:
         """Draw one value for each particle, particle axis last; one key per particle, since the user's sampler takes one."""

@@ -46,8 +46,8 @@ class Stacked(AdditiveGaussian):
         of_parts: their names.
     """
 
-    parts: tuple[AdditiveGaussian, ...]
-    of_parts: tuple[str, ...] = static()
+    parts: tuple[AdditiveGaussian, ...] = ()
+    of_parts: tuple[str, ...] = static(default=())
 
     def __init__(self, of_parts: tuple[str, ...], parts: tuple[AdditiveGaussian, ...]):
         """Take names and sensors, in the same order."""
@@ -150,7 +150,7 @@ class Together(Conditional):
                 there = own.there if isinstance(own, Observed) else _is_there(own)
                 own = own.value if isinstance(own, Observed) else own
                 vector = not isinstance(own, Mapping) and jnp.ndim(own) < 2
-                found.append((part, jnp.atleast_1d(own) if vector else Observed(own, there), there))
+                found.append((part, jnp.atleast_1d(jnp.asarray(own)) if vector else Observed(own, there), there))
         return found
 
 

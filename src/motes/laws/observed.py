@@ -22,7 +22,7 @@ class Observed:
     """
 
     value: Any
-    there: jax.Array
+    there: Any
 
 
 def value_of(y: Any) -> Any:

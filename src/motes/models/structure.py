@@ -159,10 +159,11 @@ def looked_at(model: Any, inputs: Inputs, y: Any) -> Any:
     if not isinstance(model, StateSpaceModel) or not isinstance(sensor, Custom) or sensor.states is not None or sensor.density is None:
         return model
     x, t = jax.ShapeDtypeStruct((model.size,), model.dtype), jax.ShapeDtypeStruct((), jnp.int32)
-    value = value_of(y) if sensor.digest is None else jax.eval_shape(lambda *args: sensor.digest(*args), value_of(y), inputs, t)
+    digest, own = sensor.digest, sensor.density
+    value = value_of(y) if digest is None else jax.eval_shape(lambda *args: digest(*args), value_of(y), inputs, t)
     if sum(leaf.size for leaf in jax.tree.leaves(value)) > _LARGE:
         return model
-    density = lambda v, x, u, t: sensor.density(v, x[:, None] if sensor.batched else x, u, t)  # noqa: E731
+    density = lambda v, x, u, t: own(v, x[:, None] if sensor.batched else x, u, t)  # noqa: E731
     found = dependence(density, (value, x, inputs, t), ("fixed", "elements", "whole", "whole"))
     used = found.uses.reshape(-1, model.size + 2).any(axis=0)[: model.size]
     return model if used.all() else replace(model, sensor=replace(sensor, looks=tuple(np.flatnonzero(used).tolist())))

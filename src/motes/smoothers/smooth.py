@@ -1,6 +1,8 @@
 """One verb for all smoothers."""
 
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -76,7 +78,7 @@ def _ask_found(smoother: Smoother, mean: jax.Array, history: History) -> None:
 
 @jitted
 def _smooth(
-    key: jax.Array, smoother: Smoother, model: Model, history: History, ys: Measurements | None, inputs: Inputs, beside: Beside
+    key: jax.Array, smoother: Smoother, model: Model, history: History, ys: Any, inputs: Inputs, beside: Beside
 ) -> Smoothed:
     model, drive = model.independent()
     inputs = drive.over(inputs, ys)
