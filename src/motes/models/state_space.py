@@ -187,9 +187,10 @@ def _checked_cross_cov(value: MatrixLike, dynamics: Conditional, sensor: Conditi
     value = check_matrix("noise_cross_cov", value, (size, None))
     known = (value, dynamics.Q, sensor.Q)
     if not any(callable(v) for v in known) and checks.is_concrete(known):
-        checks.shape("noise_cross_cov", value, (size, jnp.shape(sensor.Q)[0]), "(states, measurements)")
-        joint = jnp.block([[dynamics.Q, value], [jnp.transpose(value), sensor.Q]])  # type: ignore[list-item]
-        checks.covariance("noise_cross_cov (with Q and R as one joint covariance)", joint, size + jnp.shape(value)[1])
+        count = jnp.shape(sensor.Q)[0]  # type: ignore[arg-type]
+        checks.shape("noise_cross_cov", value, (size, count), "(states, measurements)")
+        joint = jnp.block([[dynamics.Q, value], [jnp.transpose(value), sensor.Q]])  # type: ignore[arg-type, list-item]
+        checks.covariance("noise_cross_cov (with Q and R as one joint covariance)", joint, size + count)
     return value
 
 
