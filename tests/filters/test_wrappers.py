@@ -45,7 +45,7 @@ def test_it_changes_nothing_while_all_is_well():
 
 
 def biased(memory):
-    sensor = mo.AdditiveGaussian(lambda x, u, t: x + u.memory["bias"], 0.2 * jnp.eye(2))
+    sensor = mo.AdditiveGaussian(lambda x, u, t: x + u["memory"]["bias"], 0.2 * jnp.eye(2))
     model = mo.StateSpaceModel(mo.Gaussian(jnp.zeros(2), 0.01 * jnp.eye(2)), mo.LinearGaussian(0.5 * jnp.eye(2), 0.05 * jnp.eye(2)), sensor)
     learn = lambda key, memory, law, y, u, t: {"bias": memory["bias"] + 0.1 * (y - law.mean() - memory["bias"])}  # noqa: E731
     return model, mo.Adapting(memory, {"bias": jnp.zeros(2)}, learn)

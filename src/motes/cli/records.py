@@ -6,6 +6,7 @@ A choice is a name, or a table whose `kind` is the name and whose other keys are
 """
 
 import dataclasses
+import difflib
 import importlib
 import inspect
 import re
@@ -57,7 +58,8 @@ def build(base: type, choice: Any, place: str) -> Any:
     short = {spelled(name): one for name, one in known.items()}
     kind = known.get(table[KIND]) or short.get(spelled(table[KIND]))
     if kind is None:
-        refuse(f"{place} {KIND}", "one of " + ", ".join(sorted(known)), shown(table[KIND]))
+        near = difflib.get_close_matches(spelled(table[KIND]), short, 5, 0.4) or sorted(short)[:12]
+        refuse(f"{place} {KIND}", f"the name of a {base.__name__}, such as {', '.join(near)}", shown(table[KIND]))
     fields = {field.name: field for field in dataclasses.fields(kind) if field.init is not False}
     given = {name: value for name, value in table.items() if name != KIND}
     unknown = sorted(set(given) - set(fields))

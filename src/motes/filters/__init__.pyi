@@ -1,5 +1,4 @@
 from . import keep as keep
-from .adapting import Remembered as Remembered
 from .explain import Explanation as Explanation
 from .history import joined as joined
 from .info import Info as Info

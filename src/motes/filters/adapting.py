@@ -5,7 +5,7 @@
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,24 +19,15 @@ from motes.laws.carried import Carried
 from motes.laws.observed import is_nothing, value_of
 from motes.models.correlated import Augmented
 
-
-class Remembered(NamedTuple):
-    """Inputs of a step as a model sees them under `Adapting`.
-
-    Attributes:
-        u: the user's inputs.
-        memory: what was learned up to the step before.
-    """
-
-    u: Any
-    memory: Any
+MEMORY = "memory"
+"""Name of the memory among the inputs."""
 
 
 @record
 class Adapting(Wrapper):
     """A filter whose model learns; its state is a `Carried` law, whose `beside` is the memory.
 
-    The model's functions f(x, u, t) get a `mo.filters.Remembered` for u: the user's inputs are `u.u`, the memory is `u.memory`.
+    The model's functions f(x, u, t) find the memory as `u["memory"]`, among the user's inputs, which are a dictionary or None.
 
     Source: Klein, Schulz, Frintrop, Cremers 2010, Adaptive real-time video-tracking for arbitrary objects.
 
@@ -71,13 +62,23 @@ class Adapting(Wrapper):
         if not callable(self.learn):
             checks.refuse("Adapting learn", "a function (key, memory, law, y, u, t)", type(self.learn).__name__)
 
-    def inputs_with(self, u: Any, beside: Any) -> Remembered:
-        """Return the inputs with the memory."""
-        return Remembered(u, beside)
+    adds_inputs = True
+
+    def inputs_with(self, u: Any, beside: Any) -> dict[str, Any]:
+        """Return the inputs with the memory.
+
+        Raises:
+            MotesError: they are no dictionary, or have such a name.
+        """
+        if u is not None and not isinstance(u, dict):
+            checks.refuse("Adapting inputs", "a dictionary by name, or None (the memory is added)", type(u).__name__)
+        if u is not None and MEMORY in u:
+            checks.refuse("Adapting inputs", f"other names than {MEMORY!r}", repr(MEMORY))
+        return {**(u or {}), MEMORY: beside}
 
     def seen_inputs(self, u: Any) -> Any:
         """Return the inputs with the memory; for tracing."""
-        return self.filter.seen_inputs(Remembered(u, self.memory))
+        return self.filter.seen_inputs(u if isinstance(u, Augmented) else self.inputs_with(u, self.memory))
 
     def prepare(self, model: Any, u: Any) -> Any:
         """Ask of the model what the inner filter asks.

@@ -87,7 +87,7 @@ class AdaptiveSize(Wrapper):
         def inner(filter: Filter) -> Filter:
             return replace(filter, filter=inner(filter.filter)) if isinstance(filter, Wrapper) else replace(filter, n=n)
 
-        return inner(self.filter)
+        return inner(self.inner)
 
     def begun(self, key: jax.Array, model: Any, law: Any) -> Any:
         """Begin with the most."""

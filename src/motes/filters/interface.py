@@ -53,6 +53,8 @@ class Filter(ABC):
     """Whether covariances are corrected by differences, so that priors far wider than the noise cost digits."""
     starves: ClassVar[bool] = False
     """Whether the effective sample size counts n draws, few of which are not enough."""
+    adds_inputs: ClassVar[bool] = False
+    """Whether functions of the model get more inputs than the user gives, which are then a dictionary or None."""
     descends: ClassVar[bool] = True
     """Whether each particle came from the one that it names as its ancestor; not so where nodes stay or members are moved by all others."""
     gate: ClassVar[float | None] = None

@@ -37,9 +37,8 @@ class Wrapper(Filter):
         """
         checks.instance(f"{type(self).__name__} filter", self.filter, Filter, "a filter such as ParticleFilter(n=1000)")
         super().__post_init__()
-        answer = self.filter.on_collapse if self.on_collapse == "raise" else self.on_collapse
-        object.__setattr__(self, "on_collapse", answer)
-        object.__setattr__(self, "filter", replace(self.filter, on_collapse=answer))
+        if self.on_collapse == "raise":
+            object.__setattr__(self, "on_collapse", self.filter.on_collapse)
 
     @abstractmethod
     def begun(self, key: jax.Array, model: Any, law: Any) -> Any:
@@ -66,6 +65,16 @@ class Wrapper(Filter):
     def seen_inputs(self, u: Any) -> Any:
         """Return the inputs of a step as the model's functions get them, under all wrappers."""
         return self.filter.seen_inputs(u)
+
+    @property
+    def inner(self) -> Filter:
+        """The inner filter, which answers a collapse as this one is asked to."""
+        return replace(self.filter, on_collapse=self.on_collapse)
+
+    @property
+    def adds_inputs(self) -> bool:  # type: ignore[override]
+        """Whether the inner filter does."""
+        return self.filter.adds_inputs
 
     @property
     def look_ahead(self) -> bool:  # type: ignore[override]
@@ -102,22 +111,22 @@ class Wrapper(Filter):
 
     def init(self, key: jax.Array, model: Any) -> Carried:
         """Begin as the inner filter does."""
-        law = self.filter.init(key, model)
+        law = self.inner.init(key, model)
         return Carried(law, self.begun(key, model, law))
 
     def predict(self, key: jax.Array, model: Any, state: Carried, u: Any, t: Any) -> Carried:
         """Predict as the inner filter does."""
         u = self.inputs_with(u, state.beside)
-        return replace(state, law=self.filter.predict(key, model, state.law, u, t))  # type: ignore[attr-defined]
+        return replace(state, law=self.inner.predict(key, model, state.law, u, t))  # type: ignore[attr-defined]
 
     def update(self, key: jax.Array, model: Any, state: Carried, y: Any, u: Any, t: Any) -> tuple[Carried, Info]:
         """Take in the measurement of the present time."""
-        taken = self.filter.update(key, model, state.law, y, self.inputs_with(u, state.beside), t)
+        taken = self.inner.update(key, model, state.law, y, self.inputs_with(u, state.beside), t)
         return self._looked_at(key, state, taken, y, u, t)
 
     def step(self, key: jax.Array, model: Any, state: Carried, y: Any, u: Any, t: Any) -> tuple[Carried, Info]:
         """Go to the next time t and take in its measurement."""
-        taken = self.filter.step(key, model, state.law, y, self.inputs_with(u, state.beside), t)
+        taken = self.inner.step(key, model, state.law, y, self.inputs_with(u, state.beside), t)
         return self._looked_at(random.child(key, random.UPDATE), state, taken, y, u, t)
 
     def _looked_at(self, key: jax.Array, before: Carried, taken: tuple[Any, Info], y: Any, u: Any, t: Any) -> tuple[Carried, Info]:

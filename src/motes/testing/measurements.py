@@ -125,8 +125,8 @@ def weights(session: Session) -> str | None:
     session.ask_own_model()
     if not session.filter.weighs:
         raise DoesNotApply("the filter weighs nothing.")
-    if session.filter.seen_inputs(0.0) != 0.0:
-        raise DoesNotApply("models see more than the user's inputs.")
+    if session.filter.adds_inputs:
+        raise DoesNotApply("its inputs are a dictionary.")
     model, ys = extreme(), session.ys[:, :2]
     for number, case in enumerate(EXTREME):
         if number == 0:
