@@ -49,5 +49,5 @@ def test_no_file_hides_a_public_name():
     assert len(rooms) > 10
     hidden = [f"{room.__name__}.{name}" for room in rooms for file, name in
               re.findall(r"^from (\.\S+) import (\w+) as", Path(room.__file__).with_suffix(".pyi").read_text(), re.M)
-              if inspect.ismodule(getattr(room, name)) and f"{file}.{name}" not in (".filters.keep", ".models.terrain")]  # fmt: skip
+              if inspect.ismodule(getattr(room, name)) and f"{file}.{name}" not in (".filters.keep", ".models.terrain", ".models.textbook")]  # fmt: skip
     assert hidden == []

@@ -9,12 +9,12 @@ Each size is compiled; arrays are as long as the largest asks for, and what is n
 """
 
 from collections.abc import Callable
+from statistics import NormalDist
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static, values
@@ -190,6 +190,6 @@ class AdaptiveSize(Wrapper):
         differs = jnp.any(cells[:, order][:, 1:] != cells[:, order][:, :-1], axis=0)
         count = 1 + jnp.sum(differs) - (~jnp.all(used)).astype(jnp.int32)
         spare = jnp.maximum(count - 1, 1).astype(cloud.particles.dtype)
-        term, z = 2 / (9 * spare), float(stats.norm.ppf(self.level))
+        term, z = 2 / (9 * spare), NormalDist().inv_cdf(self.level)
         wanted = jnp.where(count > 1, spare / (2 * self.error) * (1 - term + jnp.sqrt(term) * z) ** 3, 1)
         return jnp.minimum(jnp.sum(jnp.asarray(self.sizes) < wanted), len(self.sizes) - 1).astype(jnp.int32)
