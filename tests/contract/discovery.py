@@ -8,16 +8,22 @@ import pkgutil
 import typing
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+
 import motes.filters
 import motes.smoothers
 from motes.filters.interface import Filter
+from motes.filters.particle import ParticleFilter
 from motes.gaussian.sigma_points import Cubature
 from motes.smoothers.interface import Smoother
 
 SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
 
 PARAMETERS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (33, 31),
-         "function": lambda before, after, u, t: after, "size": 2, "rule": Cubature()}  # fmt: skip
+         "function": lambda before, after, u, t: after, "size": 2, "rule": Cubature(), "filter": ParticleFilter(n=300),
+         "fresh": lambda key, y, u, t: 1.5 * jax.random.normal(key, (2,)), "memory": jnp.zeros((), jnp.int32),
+         "learn": lambda key, memory, law, y, u, t: memory + 1, "sizes": (100, 300), "widths": (0.5, 0.5)}  # fmt: skip
 """Values for parameters that have no default; a new filter whose parameter is not listed here says so by failing."""
 
 

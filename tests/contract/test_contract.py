@@ -94,8 +94,8 @@ def test_what_is_asked_by_day_names_rules():
 @pytest.mark.optimized
 def test_run_in_chunks_is_the_whole_run():
     asked_of = session(example(mo.ParticleFilter), "float32")
-    pieces = list(mo.run_in_chunks(3, asked_of.filter, asked_of.model, asked_of.gappy[:12], chunk=6))
-    assert np.array_equal(mo.joined(pieces).mean, asked_of.whole.mean)
+    pieces = list(mo.filters.run_in_chunks(3, asked_of.filter, asked_of.model, asked_of.gappy[:12], chunk=6))
+    assert np.array_equal(mo.filters.joined(pieces).mean, asked_of.whole.mean)
 
 
 @pytest.mark.parametrize("filter", [mo.KalmanFilter(), mo.ParticleFilter(n=PARAMETERS["n"])], ids=lambda filter: type(filter).__name__)

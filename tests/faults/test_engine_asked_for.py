@@ -27,7 +27,7 @@ YS = np.zeros((3, 2))
 @pytest.fixture
 def untold(monkeypatch):
     """As in a process that has not been warned yet."""
-    monkeypatch.setattr(report, "_told", set())
+    monkeypatch.setattr(report, "_warned", set())
 
 
 def traced(filter, model, ys=YS):

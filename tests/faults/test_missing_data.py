@@ -89,7 +89,7 @@ def calls(ys, history):
     first = ys.iloc[4] if isinstance(ys, pd.DataFrame) else ys[4]
     return {
         "run": (lambda: mo.run(0, filter, MODEL, ys), WANTED),
-        "run_in_chunks": (lambda: next(mo.run_in_chunks(0, filter, MODEL, ys, chunk=5)), WANTED[:5]),
+        "run_in_chunks": (lambda: next(mo.filters.run_in_chunks(0, filter, MODEL, ys, chunk=5)), WANTED[:5]),
         "run_in_parallel": (lambda: mo.filters.run_in_parallel(MODEL, ys), WANTED),
         "smooth": (lambda: mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), MODEL, history, ys), WANTED),
         "stream": (lambda: begun(first), WANTED[4]),
@@ -173,7 +173,7 @@ def test_unknown_inputs_are_refused_with_their_row(form):
     prior = mo.Gaussian([0.0], [[1.0]])
     attempts = [lambda f=filter: mo.run(0, f, model, ys, inputs) for filter in examples().values()] + [
         lambda: mo.simulate(0, model, STEPS, inputs),
-        lambda: next(mo.run_in_chunks(0, mo.KalmanFilter(), model, ys, inputs)),
+        lambda: next(mo.filters.run_in_chunks(0, mo.KalmanFilter(), model, ys, inputs)),
         lambda: mo.filters.run_in_parallel(model, ys, inputs),
         lambda: mo.bounds.kalman_at_truth(model, np.zeros((STEPS, 1)), inputs),
         lambda: mo.bounds.posterior_cramer_rao(0, model, STEPS, inputs=inputs),

@@ -95,7 +95,8 @@ def test_sensor_without_noise_is_exact_or_refused(name):
     except mo.CollapseError as error:
         assert "no noise in some component" in str(error) and name not in WEIGH
     except mo.MotesError as error:
-        assert str(error).startswith(f"{name} sensor: expected noise in every component") and "OptimalProposal" in str(error)
+        inner = type(filter.filter).__name__ if isinstance(filter, mo.filters.Wrapper) else name
+        assert str(error).startswith(f"{inner} sensor: expected noise in every component") and "OptimalProposal" in str(error)
     else:
         assert name not in WEIGH and exact(history)
 

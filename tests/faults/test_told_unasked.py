@@ -43,7 +43,7 @@ def test_once_and_outside_of_jit():
     _, ys = mo.simulate(3, SHARP, 6)
     filter = mo.ParticleFilter(n=300, on_collapse="predict")
     assert not warned(lambda: jax.jit(lambda ys: mo.run(0, filter, SHARP, ys).mean)(ys))[1]
-    pieces, said = warned(lambda: list(mo.run_in_chunks(0, filter, SHARP, ys, chunk=2)))
+    pieces, said = warned(lambda: list(mo.filters.run_in_chunks(0, filter, SHARP, ys, chunk=2)))
     assert len(pieces) == 3 and sum("starvation" in line or "effective" in line for line in said) == 1
 
 

@@ -50,8 +50,8 @@ def test_stream_equals_run_with_inputs(filter, cross):
             stream.update(ys[t])
     assert np.array_equal(history.mean[-1], stream.mean)
     assert float(history.log_likelihood) == float(stream.log_likelihood)
-    pieces = list(mo.run_in_chunks(5, filter, model, ys, u, chunk=3))
-    assert np.array_equal(mo.joined(pieces).mean, history.mean)
+    pieces = list(mo.filters.run_in_chunks(5, filter, model, ys, u, chunk=3))
+    assert np.array_equal(mo.filters.joined(pieces).mean, history.mean)
 
 
 def test_checkpoint_with_inputs(tmp_path):

@@ -43,7 +43,7 @@ def test_what_prints_shows_in_a_notebook_too(histories):
     pilot = mo.planning.Plan(mo.KalmanFilter(), 1e-3, mo.io.Table(("filter", "ms"), (("a|b", 1.0),)), 2e-3)
     chains = mo.sample(0, mo.mcmc.RandomWalkMetropolis(1.0), lambda x: -0.5 * x @ x, np.zeros(1), draws=20, burn_in=0)
     shown = {
-        "log likelihood": histories["particles"], "what to try": mo.Diagnosis((mo.Finding("a", "b", "c", True),)),
+        "log likelihood": histories["particles"], "what to try": mo.diagnostics.Diagnosis((mo.diagnostics.Finding("a", "b", "c", True),)),
         "Kalman": mo.structure(STEADY), r"a\|b": pilot, "accepted": chains,
     }  # fmt: skip
     for words, one in shown.items():

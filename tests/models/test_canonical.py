@@ -74,7 +74,7 @@ def test_rebuilt_models_compile_nothing_anew(build, make):
     def everything():
         ys = np.array(mo.simulate(1, build(), 6)[1])
         history = mo.run(2, make(), build(), ys)
-        *_, last = mo.run_in_chunks(2, make(), build(), ys, chunk=6)
+        *_, last = mo.filters.run_in_chunks(2, make(), build(), ys, chunk=6)
         stream = mo.stream(2, make(), build())
         stream.update(ys[0])
         stream.predict()
@@ -115,9 +115,9 @@ def test_inputs_of_another_shape_than_at_step_0_are_seen():
 
 def test_chunks_of_rebuilt_models_compile_nothing_anew():
     ys = np.zeros((6, 2))
-    *_, first = mo.run_in_chunks(2, mo.ExtendedKalmanFilter(), cubic(), ys, chunk=2)
+    *_, first = mo.filters.run_in_chunks(2, mo.ExtendedKalmanFilter(), cubic(), ys, chunk=2)
     compiled = running._run._cache_size()
-    *_, second = mo.run_in_chunks(2, mo.ExtendedKalmanFilter(), cubic(), ys, chunk=2)
+    *_, second = mo.filters.run_in_chunks(2, mo.ExtendedKalmanFilter(), cubic(), ys, chunk=2)
     assert running._run._cache_size() == compiled
     np.testing.assert_array_equal(first.mean, second.mean)
 

@@ -17,6 +17,8 @@ from test_smoothers import linear
 
 from tiers import each
 
+NOTHING = {"CostReferenceParticleFilter", "PaRIS", "Recovering", "Adapting", "AdaptiveSize"}
+"""Filters whose laws cannot be smoothed."""
 YS = np.array([[0.3], [1.2], [np.nan], [0.9]])
 SMOOTHERS = smoother_classes()
 ALL = examples() | {"ParticleFilter, transport": mo.ParticleFilter(n=9, scheme=mo.resampling.EntropicTransport())}
@@ -48,7 +50,7 @@ def ends(asked, found, met=()):
 def test_hints_end_in_a_smoother_that_works(name):
     found = outcomes(ALL[name], linear())
     assert [found[asked] for asked in found if not ends(asked, found)] == []
-    assert (None in found.values()) is (name.split(",")[0] not in ("CostReferenceParticleFilter", "PaRIS"))
+    assert (None in found.values()) is (name.split(",")[0] not in NOTHING)
 
 
 MODES = mo.JumpMarkovModel([0.5, 0.5], [[0.9, 0.1], [0.1, 0.9]], [linear(), linear()])

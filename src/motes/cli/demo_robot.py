@@ -1,7 +1,8 @@
-"""`motes demo robot`: locate a robot by its recorded ranges to four surveyed beacons.
+"""`motes demo robot`: locate a robot by its ranges to four surveyed beacons.
 
-The recording is Plaza1 of the five range-only data sets of Djugash, Hamner and Roth (Journal of Field Robotics, 2009), a MATLAB file that
-is not part of the package. Writes to the folder `--out`: the NetCDF history, `summary.json`, `robot.png`, `states.png`.
+Without `--data` the recording is made up. A real one is Plaza1 of the five range-only data sets of Djugash, Hamner and Roth (Journal of
+Field Robotics, 2009), a MATLAB file that is not part of the package; it comes with gtsam, in gtsam/Data. Writes to the folder `--out`: the
+NetCDF history, `summary.json`, `robot.png`, `states.png`.
 """
 
 from collections.abc import Sequence
@@ -10,15 +11,15 @@ from typing import Literal
 
 from motes.cli.compiled import keep_programs
 from motes.cli.filters import FilterChoice, build
-from motes.cli.options import check_seed, from_flags, refuse
+from motes.cli.options import check_seed, from_flags
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Locate a robot by recorded ranges to four beacons.
+    """Locate a robot by ranges to four beacons.
 
     Attributes:
-        data: the recording, a file such as Plaza1_.mat.
+        data: a recording, a file such as Plaza1_.mat; a made-up one if not given.
         odometry: "recorded" as in the file, or "drifting": turns from the drifting path, 20 m off on their own.
         outliers: share of ranges that may be far off, such as 0.1; 0 for Gaussian errors.
         start: "known", or "unknown": sought by the first ranges, and scored two minutes later; take 5 000 particles.
@@ -46,21 +47,22 @@ def main(words: Sequence[str]) -> None:
     """
     settings = from_flags(Demo(), words, "motes demo robot")
     check_seed(settings.seed)
-    if not settings.data:
-        refuse("data", "the recording, such as --data Plaza1_.mat", "none", "It comes with the package gtsam, in gtsam/Data.")
     keep_programs()
     import jax
 
     from motes.applications.range_only import scenario as job
+    from motes.applications.range_only.world import simulated
     from motes.cli import running
     from motes.core import checks
+    from motes.io.recordings import read_plaza
     from motes.plotting.plot import plot
     from motes.plotting.robot import robot_figure
 
     for module in ("matplotlib.figure", "xarray", "h5netcdf"):
         checks.need(module, "results")
     running.check_folder(settings.out)
-    scenario = job.load(settings.data, settings.odometry, settings.outliers, settings.start)
+    recording = read_plaza(settings.data) if settings.data else simulated(settings.seed)
+    scenario = job.of_recording(recording, settings.odometry, settings.outliers, settings.start)
     chosen = build(FilterChoice(n=settings.n, linear=settings.linear))
     ys = jax.numpy.asarray(scenario.ys)
     outcome = running.race(settings.seed, {"marginalized": chosen}, scenario.model, ys, scenario.inputs)["marginalized"]

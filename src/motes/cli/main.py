@@ -14,8 +14,9 @@ from motes.cli import interruption
 
 COMMANDS = {
     "demo": "run a demonstration: terrain (the default) or robot",
-    "run": "run a filter on your own map and measurements, as a TOML file says",
-    "plan": "choose filter, partition and number of particles for a time per fix, for your own map and track",
+    "run": "run a filter on your own map or your own model, and your measurements",
+    "plan": "choose filter, partition and number of particles for a time per step",
+    "study": "compare filters on many simulated runs of your own model",
     "calibrate": "measure what the parts of a filter cost on this machine",
     "report": "write the web page of a study from the folder of its runs",
     "doctor": "print versions, devices and precision",

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import io
 import os
+import re
 import reprlib
 import tomllib
 import types
@@ -16,6 +17,7 @@ Settings = TypeVar("Settings")
 LARGEST = 1 << 20
 DOTS = 3000
 LARGEST_WHOLE = 10**300
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 KINDS = {int: "a whole number", float: "a number", str: "text in quotes", bool: "true or false", tuple: "a list of texts"}
 
 
@@ -78,6 +80,20 @@ def from_toml(kind: type[Settings], path: str) -> Settings:
         FileError: the file is missing, larger than 1 MB or not UTF-8, or is no TOML; the message names the line.
         MotesError: a key is unknown or a value has another kind; the message names it.
     """
+    return from_table(kind, read_toml(path), path)
+
+
+def from_table(kind: type[Settings], table: dict[str, Any], path: str) -> Settings:
+    """Return settings from the table of a TOML file; see `from_toml`."""
+    return _from_table(kind, table, Path(path), "")
+
+
+def read_toml(path: str) -> dict[str, Any]:
+    """Read the table of a TOML file.
+
+    Raises:
+        FileError: see `from_toml`.
+    """
     from motes.io.files import foreign, look, reject
 
     size, _ = look(path, 1)
@@ -88,8 +104,7 @@ def from_toml(kind: type[Settings], path: str) -> Settings:
         # the parser takes time and memory with the square of the parts of a key
         if text.count(".") > DOTS:
             reject(path, f"a TOML file with at most {DOTS} points", text.count("."))
-        table = tomllib.loads(text)
-    return _from_table(kind, table, Path(path), "")
+        return tomllib.loads(text)
 
 
 def from_file_and_flags(kind: type[Settings], words: Sequence[str], usage: str) -> Settings:
@@ -195,3 +210,15 @@ def _expanded(path: str) -> str:
     if found.startswith("~"):
         refuse("path", "a home folder that there is", shown(path), "Write ./ in front where a name begins with ~.")
     return found
+
+
+def seconds(text: str) -> float:
+    """Return seconds from a number with a unit.
+
+    Raises:
+        MotesError: it is none.
+    """
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*(s|ms|us)\s*", text)
+    if not found or not float(found[1]) > 0:
+        refuse("budget", "a time with its unit, such as 5ms, 200us or 0.1s", repr(text))
+    return float(found[1]) * UNITS[found[2]]

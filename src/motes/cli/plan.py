@@ -3,16 +3,15 @@
 The TOML file is that of `motes run`; of its measurements only the inertial track is used, along which pilot flights are drawn.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from motes.cli.compiled import keep_programs
-from motes.cli.options import check_seed, from_file_and_flags, refuse
+from motes.cli.options import check_seed, from_file_and_flags, seconds
+from motes.cli.own import is_own
 from motes.cli.run import Config
 
 USAGE = "motes plan CONFIG.toml"
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 
 @dataclass(frozen=True)
@@ -40,6 +39,10 @@ def main(words: Sequence[str]) -> None:
     Raises:
         MotesError: the file, what it names, or an option cannot be used; or no candidate fits the budget.
     """
+    if is_own(words):
+        from motes.cli import plan_own
+
+        return plan_own.main(words)
     config = from_file_and_flags(Planning, words, USAGE)
     budget = seconds(config.budget)
     check_seed(config.seed)
@@ -53,15 +56,3 @@ def main(words: Sequence[str]) -> None:
     inputs = jax.tree.map(lambda leaf: leaf[: config.fixes], flight.inputs)
     print(plan(flight.model, budget, states=config.states, verify=config.verify,
                pilot=Pilot(runs=config.runs, seed=config.seed, inputs=inputs)))
-
-
-def seconds(text: str) -> float:
-    """Return seconds from a number with a unit.
-
-    Raises:
-        MotesError: it is none.
-    """
-    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*(s|ms|us)\s*", text)
-    if not found or not float(found[1]) > 0:
-        refuse("budget", "a time with its unit, such as 5ms, 200us or 0.1s", repr(text))
-    return float(found[1]) * UNITS[found[2]]

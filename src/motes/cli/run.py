@@ -1,4 +1,4 @@
-"""`motes run CONFIG.toml`: run a filter on the user's own map and measurements.
+"""`motes run CONFIG.toml`: run a filter on the user's own map and measurements; on the user's own model see `run_own.py`.
 
 The TOML file has the tables [map], [data], [inertial], [noises], [prior] and [filter] and the keys `seed` and `out`; all but `files` of
 [map] and `file` of [data] have defaults. `motes demo` writes one, with comments, beside a flight that it fits. Paths in the file are
@@ -12,6 +12,7 @@ from motes.applications.terrain_navigation.settings import Inertial, MapFiles, N
 from motes.cli.compiled import keep_programs
 from motes.cli.filters import FilterChoice, build
 from motes.cli.options import check_seed, from_file_and_flags
+from motes.cli.own import is_own
 
 USAGE = "motes run CONFIG.toml"
 
@@ -47,6 +48,10 @@ def main(words: Sequence[str]) -> None:
     Raises:
         MotesError: the file, what it names, or an option cannot be used.
     """
+    if is_own(words):
+        from motes.cli import run_own
+
+        return run_own.main(words)
     config = from_file_and_flags(Config, words, USAGE)
     check_seed(config.seed)
     keep_programs()

@@ -19,13 +19,17 @@ from rich.table import Table
 from motes.core.checks import FileError, refuse
 from motes.core.progress import is_shown
 from motes.core.watchdog import watched
+from motes.filters import keep
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.notices import notices
-from motes.filters.run import run_in_chunks
+from motes.filters.run import run, run_in_chunks
 from motes.io.archive import provenance, whole_file
 from motes.io.files import label
 from motes.models.state_space import at_step
+from motes.models.times import Timeline
+from motes.smoothers.interface import Smoothed, Smoother
+from motes.smoothers.smooth import smooth
 
 CHUNKS = 20
 
@@ -93,6 +97,30 @@ def _timed(seed: int, filter: Filter, model: Any, ys: jax.Array, inputs: Any, ad
         advance(steps)
         began = time.perf_counter()
     return Outcome(filter, joined(pieces), float(np.median(times)) if times else None)
+
+
+def one(seed: int, filter: Filter, model: Any, ys: Any, inputs: Any, laws: bool) -> Outcome:
+    """Run one filter over measurements of any form, in one piece.
+
+    Args:
+        seed: of the filter.
+        filter: the filter.
+        model: the model.
+        ys: measurements as `run` takes them.
+        inputs: inputs of the model, time axis first.
+        laws: whether laws are kept, for a smoother.
+    """
+    began = time.perf_counter()
+    history = run(seed, filter, model, ys, inputs, keep.laws if laws else keep.moments)
+    jax.block_until_ready(history.info)
+    return Outcome(filter, history, (time.perf_counter() - began) / history.info.ess.shape[0])
+
+
+def smoothed(seed: int, smoother: Smoother, model: Any, history: History, given: Mapping[str, Any]) -> Smoothed:
+    """Smooth what was filtered."""
+    line = given["ys"]
+    ys, inputs = (line.ys, line.inputs) if isinstance(line, Timeline) else (line, given.get("inputs"))
+    return smooth(seed + 1, smoother, model, history, ys, inputs)
 
 
 def results(outcome: Outcome) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from motes.core import checks
 from motes.core.record import record, replace, values
 from motes.core.types import Inputs, Measurements
-from motes.filters.data import checked_data
+from motes.filters.data import checked_data, steps_of
 from motes.filters.interface import Filter
 from motes.filters.run import run
 from motes.models.interface import Model
@@ -113,13 +113,13 @@ def seconds_per_step(
         MotesError: there are too few measurements, or `run` refuses something.
     """
     checks.positive_integer("seconds_per_step repeats", repeats)
-    ys, inputs = checked_data(model, ys, inputs)
-    steps = ys.shape[0]
+    rows, inputs = checked_data(model, ys, inputs)
+    steps = steps_of(rows)
     if steps < 2:
         checks.refuse("seconds_per_step ys", "at least two measurements", f"{steps}")
 
     def seconds(count: int) -> float:
-        piece = jax.tree.map(lambda leaf: leaf[:count], (ys, inputs))
+        piece = jax.tree.map(lambda leaf: leaf[:count], (rows, inputs))
         return least_seconds(whole_run(filter, model, *piece), repeats, span)
 
     return (seconds(steps) - seconds(1)) / (steps - 1)

@@ -3,6 +3,8 @@ from .consistency import chi_square_band as chi_square_band
 from .consistency import coverage as coverage
 from .consistency import nees as nees
 from .consistency import nis as nis
+from .diagnose import Diagnosis as Diagnosis
+from .diagnose import Finding as Finding
 from .sets import Gospa as Gospa
 from .sets import gospa as gospa
 from .sets import ospa as ospa

@@ -55,7 +55,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
 
 def _innovations(history: History) -> list[Finding]:
     gaps = np.asarray(history.info.shortfall, np.float64)
-    usual = history.last.y.shape[0] / 2
+    usual = history.rounding.shape[-1] / 2 if history.rounding is not None else 1.0
     far = (gaps > FAR + usual) | np.asarray(history.info.collapsed)
     runs = _in_a_row(far)
     long = [piece for piece in runs if piece.size >= IN_A_ROW]

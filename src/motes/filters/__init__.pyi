@@ -1,6 +1,10 @@
 from . import keep as keep
 from .explain import Explanation as Explanation
+from .history import joined as joined
 from .info import Info as Info
 from .interface import TwoStageFilter as TwoStageFilter
 from .look_ahead import LookAheadFilter as LookAheadFilter
 from .parallel import run_in_parallel as run_in_parallel
+from .proposals import Proposal as Proposal
+from .run import run_in_chunks as run_in_chunks
+from .wrapper import Wrapper as Wrapper

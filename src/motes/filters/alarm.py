@@ -18,8 +18,10 @@ from scipy.special import gammaincinv
 
 from motes.core import linalg, random
 from motes.laws.circular import wrap
-from motes.laws.conditional import AdditiveGaussian, Conditional, Custom, matrix_over
+from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over
+from motes.laws.custom import Custom
 from motes.laws.density import among, measured_in, zeroed
+from motes.laws.observed import Observed
 
 THRESHOLD = 10.0
 """Nats of the cumulative sum at which the alarm rings: once in more than 1e5 steps where all claims are right."""
@@ -112,6 +114,8 @@ def of_cloud(key: jax.Array, sensor: Conditional, X: jax.Array, log_weights: jax
         u: inputs of the step.
         t: its number.
     """
+    if isinstance(y, Observed):
+        return unknown(X.dtype)
     X, log_weights = _apart((X, log_weights))
     if isinstance(sensor, AdditiveGaussian):
         return of_mixture(sensor.angles, sensor.means(X, u, t), matrix_over(sensor.Q, X, u, t), log_weights, y)

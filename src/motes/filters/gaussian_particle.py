@@ -29,7 +29,7 @@ from motes.models.state_space import StateSpaceModel
 class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
     """Gaussian particle filter; its state is a `Gaussian`. It converges to the true posterior only where that is Gaussian.
 
-    Source: Kotecha, Djuric 2003, Gaussian particle filtering; Gaussian sum particle filtering.
+    Source: Kotecha, Djuric 2003, Gaussian particle filtering.
 
     Example:
         >>> model = mo.textbook.radar_tracking()

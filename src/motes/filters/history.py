@@ -14,6 +14,7 @@ from motes.core.logspace import RunningSum
 from motes.core.record import record, replace, static
 from motes.filters.info import Info
 from motes.io import archive
+from motes.laws.observed import Observed
 from motes.laws.spelled import UnspelledError, restored, spelled
 
 _KEPT_BY = {"law": "laws", "mode_probabilities": "modes"}
@@ -29,7 +30,7 @@ class Carry:
         state: the law.
         evidence: sum of the log evidence so far.
         suspicion: cumulative sum of the alarm (`filters/alarm.py`).
-        y: measurement of the last step, `(y,)`.
+        y: measurement of the last step, `(y,)` or `Observed`.
         u: inputs of the last step.
         step: index of the last step.
     """
@@ -37,7 +38,7 @@ class Carry:
     state: Any
     evidence: RunningSum
     suspicion: jax.Array
-    y: jax.Array
+    y: Any
     u: Any
     step: jax.Array
 
@@ -62,6 +63,7 @@ class History:
         descends: whether each particle of a cloud came from the one that it names as its ancestor.
         rounding: how coarse numbers are beside the noise (`filters/precision.py`), `(2, y)`; of joined pieces the largest; None in
             files of version 0.1.
+        times: of the steps, seconds, float64 `(t,)` (of dates Unix seconds), where measurements came with them (`times`); otherwise None.
     """
 
     kept: dict[str, Any]
@@ -78,6 +80,7 @@ class History:
     circular: tuple[int, ...] = static(default=())
     descends: bool = static(default=True)
     rounding: jax.Array | None = None
+    times: Any = None
 
     def __str__(self) -> str:
         """Print what was run and how it went, one line each."""
@@ -189,7 +192,7 @@ class History:
     def to_xarray(self) -> Any:
         """Return an `xarray.Dataset` with dimensions time, state and state2; needs the extra `results`."""
         xarray = checks.need("xarray", "results")
-        steps = int(self.start) + np.arange(np.shape(self.info.ess)[0])
+        steps = int(self.start) + np.arange(np.shape(self.info.ess)[0]) if self.times is None else np.asarray(self.times)
         data: dict[str, Any] = {}
         if "mean" in self.kept:
             data["mean"] = (("time", "state"), np.asarray(self.mean))
@@ -197,7 +200,7 @@ class History:
             data["cov"] = (("time", "state", "state2"), np.asarray(self.cov))
         if "mode_probabilities" in self.kept:
             data["mode_probabilities"] = (("time", "mode"), np.asarray(self.mode_probabilities))
-        for name in ("log_evidence", "ess", "collapsed", "invalid", "nis", "freedom", "alarm", "gated", "lost"):
+        for name in ("log_evidence", "ess", "collapsed", "invalid", "nis", "freedom", "alarm", "gated", "lost", "recovered"):
             data[name] = (("time",), np.asarray(getattr(self.info, name)))
         names = list(self.names)
         attributes = archive.provenance() | {"filter": self.label, "engine": self.engine}
@@ -223,7 +226,7 @@ class History:
         checks.refuse(str(path), "a name that ends in .nc or .npz", path.suffix or "no ending", error=checks.FileError)
 
     def _data(self) -> dict[str, Any]:
-        return {"kept": self.kept, "info": self.info, "last": self.last, "start": self.start, "rounding": self.rounding}
+        return {name: getattr(self, name) for name in ("kept", "info", "last", "start", "rounding", "times")}
 
     def _forms(self) -> dict[str, Any]:
         """Return the forms of what can be anything; a law of the user's has none."""
@@ -256,7 +259,9 @@ class History:
         info = _recorded(tree["info"])
         last = dict(tree["last"])
         evidence = RunningSum(**{name: jnp.asarray(value) for name, value in last.pop("evidence").items()})
-        suspicion = jnp.asarray(last.get("suspicion", 0.0), last["y"].dtype)
+        y = last["y"]
+        y = Observed(jax.tree.map(jnp.asarray, y.get("value")), jnp.asarray(y["there"])) if isinstance(y, dict) else jnp.asarray(y)
+        suspicion = jnp.asarray(last.get("suspicion", 0.0), evidence.total.dtype)
         forms = texts.get("forms", {})
         try:
             kept = restored(forms["kept"], tree.get("kept", {})) if "kept" in forms else tree.get("kept", {})
@@ -266,10 +271,10 @@ class History:
         if isinstance(state, dict) or isinstance(kept.get("law"), dict):
             checks.warn(f"{path}: its laws are of a kind that files of this version do not name; they come back as dictionaries of arrays. "
                         "The history can be continued, but not smoothed, and diagnose sees no weights.")
-        carry = Carry(state, evidence, suspicion, jnp.asarray(last["y"]), last.get("u"), jnp.asarray(last["step"]))
+        carry = Carry(state, evidence, suspicion, y, last.get("u"), jnp.asarray(last["step"]))
         traits = {name: texts[name] for name in _TRAITS if name in texts}
         rest = (jnp.asarray(tree["start"]), tuple(texts["names"]), texts["filter"])
-        traits |= {"circular": tuple(texts.get("circular", ())), "rounding": tree.get("rounding")}
+        traits |= {"circular": tuple(texts.get("circular", ())), "rounding": tree.get("rounding"), "times": tree.get("times")}
         return cls(kept, info, carry, *rest, **traits)
 
 
@@ -280,11 +285,15 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
     if not isinstance(names, list) or not named or not isinstance(texts.get("forms", {}), dict):
         checks.refuse(f"{path}: texts", "names of states and of a filter", "others", "Restore it from a copy.", checks.FileError)
     kinds = {"collapsed": "b", "alarm": "b", "invalid": "iu", "gated": "iu", "freedom": "iuf"}
-    archive.agree(path, forms, {"info/log_evidence": ((None,), "f"), "start": ((), "iu"), "last/step": ((), "iu"), "last/y": ((None,), "f"),
+    last = forms.get("last")
+    archive.agree(path, forms, {"info/log_evidence": ((None,), "f"), "start": ((), "iu"), "last/step": ((), "iu"),
+                                **measurement_form("last/y", last.get("y") if isinstance(last, dict) else None),
                                 "last/evidence/total": ((), "f"), "last/evidence/missed": ((), "f")})  # fmt: skip
     steps, x = forms["info"]["log_evidence"].shape[0], len(names)
     there = {field.name for field in fields(Info)} & set(forms["info"]) | {"ess", "collapsed", "invalid", "lowest", "highest", "shortfall"}
     archive.agree(path, forms, {f"info/{name}": ((steps,), kinds.get(name, "f")) for name in there})
+    if "times" in forms:
+        archive.agree(path, forms, {"times": ((steps,), "f")})
     if set(forms["info"]) - there:
         checks.refuse(f"{path}: info", "known records of steps", sorted(set(forms["info"]) - there)[0], "Read it with a newer motes.",
                       checks.FileError)
@@ -295,10 +304,15 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
         archive.repeats(path, forms, "kept/law", (steps,), "last/state", ())
 
 
+def measurement_form(name: str, stored: Any) -> dict[str, tuple[tuple[int | None, ...], str]]:
+    """Return what a file must hold of one measurement under a name: a vector, or a tree and whether there was anything."""
+    return {f"{name}/there": ((), "b")} if isinstance(stored, dict) else {name: ((None,), "f")}
+
+
 def _recorded(fields: dict[str, Any]) -> Info:
     """Return what a file says of each step; what files of version 0.1 lack reads as not known (`freedom` 0)."""
     like = fields["log_evidence"]
-    lacking = {name: np.zeros_like(like) for name in ("nis", "freedom", "lost")}
+    lacking = {name: np.zeros_like(like) for name in ("nis", "freedom", "lost", "recovered")}
     lacking |= {"alarm": np.zeros(like.shape, bool), "gated": np.zeros(like.shape, np.int32)}
     return Info(**{name: jnp.asarray(value) for name, value in {**lacking, **fields}.items()})
 
@@ -315,4 +329,5 @@ def joined(pieces: Sequence[History]) -> History:
         checks.refuse("pieces", "at least one history", "none")
     kept, info = jax.tree.map(lambda *parts: jnp.concatenate(parts), *[(piece.kept, piece.info) for piece in pieces])
     rounding = jax.tree.map(lambda *parts: jnp.max(jnp.stack(parts), axis=0), *[piece.rounding for piece in pieces])
-    return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start, rounding=rounding)
+    times = None if any(piece.times is None for piece in pieces) else np.concatenate([piece.times for piece in pieces])
+    return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start, rounding=rounding, times=times)

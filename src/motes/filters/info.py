@@ -30,6 +30,7 @@ class Info:
         alarm: whether measurements have by now scattered so much more than predicted that the filter's claims are wrong (`alarm.py`).
         gated: 1 where the filter's `gate` left the measurement out, else 0.
         lost: share of the probability that left the filter's grid on the way to this step; 0 of filters without a grid.
+        recovered: share of the particles that `Recovering` drew anew; 0 of other filters.
     """
 
     log_evidence: jax.Array
@@ -44,6 +45,7 @@ class Info:
     alarm: jax.Array
     gated: jax.Array
     lost: jax.Array
+    recovered: jax.Array
 
 
 def weigh(log_weights: jax.Array, log_likelihood: jax.Array, max_log_likelihood: jax.Array) -> tuple[jax.Array, Info]:
@@ -70,8 +72,8 @@ def info_of(found: jax.Array) -> Info:
     log_evidence, ess, invalid, lowest, highest, shortfall = found
     unresolved = jnp.abs(highest) * jnp.finfo(found.dtype).eps > 1
     collapsed = ~jnp.isfinite(log_evidence) | (shortfall > HOPELESS) | unresolved
-    none, quiet = jnp.zeros_like(ess), jnp.zeros((), bool)
-    return Info(log_evidence, ess, collapsed, invalid.astype(jnp.int32), lowest, highest, shortfall, none, none, quiet, jnp.int32(0), none)
+    none, quiet, count = jnp.zeros_like(ess), jnp.zeros((), bool), invalid.astype(jnp.int32)
+    return Info(log_evidence, ess, collapsed, count, lowest, highest, shortfall, none, none, quiet, jnp.int32(0), none, none)
 
 
 def single(done: Correction) -> Info:

@@ -10,6 +10,7 @@ from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.info import Info
+from motes.laws.observed import is_nothing
 from motes.models.interface import circular
 from motes.models.state_space import as_state_space
 from motes.resampling import gradients
@@ -52,6 +53,8 @@ class Filter(ABC):
     """Whether covariances are corrected by differences, so that priors far wider than the noise cost digits."""
     starves: ClassVar[bool] = False
     """Whether the effective sample size counts n draws, few of which are not enough."""
+    adds_inputs: ClassVar[bool] = False
+    """Whether functions of the model get more inputs than the user gives, which are then a dictionary or None."""
     descends: ClassVar[bool] = True
     """Whether each particle came from the one that it names as its ancestor; not so where nodes stay or members are moved by all others."""
     gate: ClassVar[float | None] = None
@@ -99,6 +102,10 @@ class Filter(ABC):
         """
         return as_state_space(type(self).__name__, model)
 
+    def seen_inputs(self, u: Any) -> Any:
+        """Return the inputs of a step as the model's functions get them, of the user's; for tracing."""
+        return u
+
     def ask(self, model: Any, u: Any) -> None:  # noqa: B027 (most filters take any numbers)
         """Refuse what the numbers of the user's model do not allow, as far as they are known; asked before anything is compiled."""
 
@@ -116,7 +123,7 @@ class Filter(ABC):
 
     def accept(self, before: Any, after: Any, info: Info, y: jax.Array) -> tuple[Any, Info]:
         """Accept an update by the rules that all filters share: nothing measured changes nothing, the gate, the policy for a collapse."""
-        missing = jnp.all(jnp.isnan(y))
+        missing = is_nothing(y)
         if self.gate is not None:
             outside = (info.freedom > 0) & ~alarm.within(self.gate, info.nis, info.freedom) & ~missing
             info = replace(info, gated=outside.astype(jnp.int32), collapsed=info.collapsed & ~outside)

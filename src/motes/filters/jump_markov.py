@@ -122,7 +122,7 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         """Bring the hypotheses down to n (step 1), and move each in every mode (step 2)."""
         ancestors, log_weights = self._reduced(random.child(key, random.RESAMPLE), state.log_weights)
         kept, log_weights = gradients.noticed((state.resampled(ancestors), log_weights))
-        log_transition = model.log_transition(u, t)[kept.modes].T
+        log_transition = model.log_transition(u, t)[kept.part_modes].T
         moved = predicted(self.rule, model, [kept.parts] * model.count, u, t)
         return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + log_transition)
 

@@ -43,6 +43,17 @@ def modes(law: Any, count: int = 0) -> dict[str, jax.Array]:
     checks.refuse("keep.modes", "a filter of jump-Markov systems, or a cloud of a joined model", given)
 
 
+def clusters(law: Any, count: int = 4) -> dict[str, jax.Array]:
+    """Keep mean, covariance, and the heaviest clusters of the law: their means `(k, x)`, covariances `(k, x, x)` and weights `(k,)`.
+
+    Args:
+        law: of any filter.
+        count: k; `functools.partial(mo.keep.clusters, count=8)` keeps more.
+    """
+    found = law.modes(count)
+    return {**moments(law), "cluster_mean": found.mean, "cluster_cov": found.cov, "cluster_weight": found.weight}
+
+
 def with_modes(keep: Keep, count: int) -> Keep:
     """Return what to keep in a run of a joined model of so many modes; 0 for any other model."""
     return partial(modes, count=count) if keep is modes else keep

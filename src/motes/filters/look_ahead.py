@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from motes.core import random
 from motes.core.record import record, replace
@@ -20,6 +19,7 @@ from motes.filters.info import Info, weigh
 from motes.filters.interface import Filter
 from motes.filters.proposals import Proposal
 from motes.laws.cloud import Cloud
+from motes.laws.observed import is_nothing
 from motes.models.state_space import StateSpaceModel
 from motes.native import cloudwise
 
@@ -56,7 +56,7 @@ class LookAheadFilter(Filter):
         if not self.look_ahead:
             return super().step(key, model, state, y, u, t)  # type: ignore[safe-super]
         after, info, predicted = self.ahead(key, model, state, y, u, t)  # step 1
-        refused = info.collapsed | jnp.all(jnp.isnan(y))
+        refused = info.collapsed | is_nothing(y)
         # 2. once more without y
         before = predicted() if self.gate is not None else jax.lax.cond(refused, predicted, lambda: after)
         return self.accept(before, after, info, y)

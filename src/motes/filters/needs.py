@@ -3,7 +3,8 @@
 from typing import Any
 
 from motes.core import checks
-from motes.laws.conditional import AdditiveNoise, Conditional, Custom
+from motes.laws.conditional import AdditiveNoise, Conditional
+from motes.laws.custom import Custom
 from motes.models import jump_markov
 from motes.models.interface import Model
 from motes.models.jump_markov import JumpMarkovModel

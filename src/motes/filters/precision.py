@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from motes.core import linalg
 from motes.gaussian.taylor import affine
 from motes.laws.law import Foreign
+from motes.laws.observed import Observed
 from motes.models.interface import Model
 from motes.models.state_space import StateSpaceModel
 
@@ -17,7 +18,7 @@ LOST = 0.05
 """Rounding of the prior variance of a measurement, in variances of its noise, from which on a corrected covariance is no longer right."""
 
 
-def rounding(model: Model, ys: jax.Array, u: Any) -> jax.Array:
+def rounding(model: Model, ys: Any, u: Any) -> jax.Array:
     """Return how coarse numbers are for each measured component, `(2, y)`, as seen from the first state; zeros where it is not known.
 
     The first row is the spacing of numbers of the size of the data and of what the states contribute, in standard deviations of the noise;
@@ -30,7 +31,7 @@ def rounding(model: Model, ys: jax.Array, u: Any) -> jax.Array:
     """
     models = model.each_mode()
     found = [_of_one(part, ys, u) for part in models if part.sensor.has_moments and not isinstance(part.initial, Foreign)]
-    return jnp.max(jnp.stack(found), axis=0) if found else jnp.zeros((2, ys.shape[1]), ys.dtype)
+    return jnp.max(jnp.stack(found), axis=0) if found else jnp.zeros((2, 1 if isinstance(ys, Observed) else ys.shape[1]), model.dtype)
 
 
 def _of_one(model: StateSpaceModel, ys: jax.Array, u: Any) -> jax.Array:

@@ -24,6 +24,7 @@ from motes.gaussian.taylor import affine
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over, over_particles
 from motes.laws.density import among, log_normal, max_log_normal, noiseless
 from motes.laws.gaussian import Gaussian
+from motes.laws.observed import value_of
 from motes.models.correlated import users
 from motes.models.state_space import StateSpaceModel
 from motes.models.structure import trace
@@ -87,7 +88,7 @@ class GivenProposal(Proposal):
 
     def proposed(self, key: jax.Array, model: StateSpaceModel, X: jax.Array, y: jax.Array, u: Any, t: Any) -> Proposed:
         """See `Proposal`."""
-        inputs = (users(u), y)
+        inputs = (users(u), value_of(y))
         moved = self.law.sample(key, X, inputs, t)
         log_q = self.law.log_prob(moved, X, inputs, t)
         log_weight = model.sensor.log_prob(y, moved, u, t) + model.dynamics.log_prob(moved, X, u, t) - log_q

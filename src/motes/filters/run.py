@@ -7,7 +7,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from motes.core import checks, random
 from motes.core.loop import loop, with_first
@@ -15,16 +14,19 @@ from motes.core.record import record, replace, static
 from motes.core.types import Inputs, KeyLike, Measurements
 from motes.filters import keep as keeping
 from motes.filters import notices, precision
-from motes.filters.data import checked_data
-from motes.filters.history import Carry, History
+from motes.filters.data import checked_data, steps_of
+from motes.filters.history import Carry, History, joined
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
+from motes.filters.pieces import pieces
 from motes.filters.setup import canonical_parts, carry_like, setup
 from motes.io import archive
+from motes.laws.observed import Observed
 from motes.models.canonical import one_of, shape_of
 from motes.models.interface import Model
 from motes.models.state_space import at_step
+from motes.models.times import Timeline
 from motes.native import report
 from motes.resampling import gradients
 from motes.tracing.compiling import jitted
@@ -49,7 +51,9 @@ def run(
         key: JAX key or integer seed, or a key for each step `(t,)`; the same key gives the same numbers, bit for bit, as `stream` with it.
         filter: the filter.
         model: state-space, mixed linear or jump-Markov model.
-        ys: measurements `(t, y)`; NaN, None, masked and NA mean not measured; the first is of x_0.
+        ys: measurements `(t, y)`, or, of a `Custom` sensor, arrays of any shape and type or trees of them, time axis first, or a list with
+            one for each step; NaN, None, masked and NA mean not measured; the first is of x_0. An iterator of them, or of lists of
+            several, is gone through in pieces that fit into memory; what `times` gives has inputs and times, too.
         inputs: tree with the time axis first, or None; finite numbers in every row.
         keep: what to keep of each law (see `keep`).
         after: history of the steps before, to continue from with the same key; the result equals the uncut run, bit for bit.
@@ -58,18 +62,21 @@ def run(
         MotesError: measurements, inputs, filter and model do not fit each other.
         CollapseError: all weights vanished and the filter's `on_collapse` is "raise" (outside jit only).
     """
+    if isinstance(ys, (Timeline, Iterator)):
+        return (_run_along if isinstance(ys, Timeline) else _run_through)(key, filter, model, ys, inputs, keep, after)  # type: ignore[operator]
     key = random.key_or_data(key)
     if not isinstance(filter, Filter):
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
     ys, inputs = checked_data(model, ys, inputs)
     if isinstance(key, jax.Array) and key.ndim and after is None:
-        checks.shape("run key", key, (np.shape(ys)[0],), "(one for each step)")
+        checks.shape("run key", key, (steps_of(ys),), "(one for each step)")
     u = jax.tree.map(one_of, inputs)
-    first = None if after is None else _end_of(after, filter, model, u, one_of(ys))
+    y = jax.tree.map(one_of, ys)
+    first = None if after is None else _end_of(after, filter, model, u, y)
     filter.ask(model, u)
     # functions that are equal for inputs of one shape need not be so for those that a run before had
     alike = first is None or jax.tree.map(shape_of, first.u) == u
-    known = canonical_parts(filter, model, u, one_of(ys)) if alike else (filter, model)
+    known = canonical_parts(filter, model, u, y) if alike else (filter, model)
     if not checks.is_concrete((known, ys, inputs)) and filter.loses_derivatives:
         # what is compiled is traced, and tells of a derivative, but once
         known, ys, inputs = gradients.noticed((known, ys, inputs))
@@ -77,7 +84,7 @@ def run(
         found = _run(key, *known, ys, inputs, (keep, Beside((*known, keep))), first)
     except Exception:
         if first is not None:
-            _check_end(first, filter, model, u, one_of(ys))
+            _check_end(first, filter, model, u, y)
         raise
     history = History(found.kept, found.info, found.last, found.start, model.names, repr(filter), engine=found.engine,
                       circular=model.circular, rounding=found.rounding, **filter.traits)  # fmt: skip
@@ -88,12 +95,34 @@ def run(
     return history
 
 
+def _run_along(
+    key: KeyLike, filter: Filter, model: Model, line: Timeline, inputs: Inputs, keep: Keep, after: History | None
+) -> History:
+    """Run over measurements that have times."""
+    if inputs is not None:
+        checks.refuse("run inputs", "none beside a timeline, which has them", "some", "Give them to mo.times(..., inputs=...).")
+    return replace(run(key, filter, model, line.ys, line.inputs, keep, after), times=line.start + line.seconds)
+
+
+def _run_through(
+    key: KeyLike, filter: Filter, model: Model, ys: Iterator[Any], inputs: Inputs, keep: Keep, after: History | None
+) -> History:
+    """Run over measurements that come one after the other; what was kept is put together at the end."""
+    checks.instance("run model", model, Model, "a model such as StateSpaceModel")
+    found: list[History] = []
+    for piece, rows in pieces(model, ys, inputs):
+        found.append(run(key, filter, model, piece, rows, keep, found[-1] if found else after))
+    return joined(found)
+
+
 def _end_of(after: History, filter: Filter, model: Any, u: Inputs, y: Any) -> Carry:
     """Return what to continue from; inputs and laws that a file gave without their classes get them."""
     checks.instance("run after", after, History, "what mo.run gave, or History.load")
     end, wanted = after.last, jax.tree.structure(u)
     if jax.tree.structure(end.u) != wanted and isinstance(end.u, dict) and not jax.tree_util.treedef_is_leaf(wanted):
         end = replace(end, u=archive.fill(Path("run after: inputs"), u, end.u))
+    if isinstance(end.y, Observed) and jax.tree.structure(end.y) != jax.tree.structure(y) and isinstance(y, Observed):
+        end = replace(end, y=archive.fill(Path("run after: measurements"), y, {"value": end.y.value, "there": end.y.there}))
     if isinstance(end.state, dict):
         end = replace(end, state=archive.fill(Path("run after: state"), carry_like(filter, model, u, y).state, end.state))
     return end
@@ -118,9 +147,10 @@ def run_in_chunks(
     checks.positive_integer("run_in_chunks chunk", chunk)
     ys, inputs = checked_data(model, ys, inputs)
     part = None
-    for begin in range(0, np.shape(ys)[0], chunk):
+    for begin in range(0, steps_of(ys), chunk):
         piece = slice(begin, begin + chunk)
-        part = run(key, filter, model, ys[piece], jax.tree.map(lambda leaf, piece=piece: leaf[piece], inputs), keep, part)
+        rows = jax.tree.map(lambda leaf, piece=piece: leaf[piece], (ys, inputs))
+        part = run(key, filter, model, rows[0], rows[1], keep, part)
         yield part
 
 
@@ -138,23 +168,24 @@ class _Found:
 
 @partial(jitted, static_argnames=("kept",))
 def _run(
-    key: jax.Array, filter: Filter, model: Model, ys: jax.Array, inputs: Inputs, kept: tuple[Keep, Beside], first: Carry | None
+    key: jax.Array, filter: Filter, model: Model, ys: Any, inputs: Inputs, kept: tuple[Keep, Beside], first: Carry | None
 ) -> _Found:
     keep = keeping.with_modes(kept[0], model.modes)
     with report.collected() as notes:
-        ready = setup(random.as_key(key), filter, model, at_step(inputs, 0), ys[0])
+        ready = setup(random.as_key(key), filter, model, at_step(inputs, 0), at_step(ys, 0))
 
-        def step(carry: Carry, row: tuple[jax.Array, Inputs]) -> tuple[Carry, tuple[Any, Info]]:
+        def step(carry: Carry, row: tuple[Any, Inputs]) -> tuple[Carry, tuple[Any, Info]]:
             carry, info = ready.step(carry, *row)
             return carry, (keep(carry.state), info)
 
         if first is None:
             start = jnp.int32(0)
-            carry, info = ready.begin(ys[0], at_step(inputs, 0))
+            carry, info = ready.begin(at_step(ys, 0), at_step(inputs, 0))
             last, rest = loop(step, carry, jax.tree.map(lambda leaf: leaf[1:], (ys, inputs)))
             of_steps, infos = with_first((keep(carry.state), info), rest)
         else:
             start = first.step + 1
             last, (of_steps, infos) = loop(step, first, (ys, inputs))
         report.complete(notes, type(filter).__name__)
-    return _Found(of_steps, infos, last, start, precision.rounding(model, ys, at_step(inputs, 0)), report.engine_used(notes))
+    seen = filter.seen_inputs(at_step(inputs, 0))
+    return _Found(of_steps, infos, last, start, precision.rounding(model, ys, seen), report.engine_used(notes))

@@ -14,9 +14,11 @@ from motes.filters.history import Carry
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.laws.conditional import Conditional
+from motes.laws.observed import Observed, nothing_like, value_of
 from motes.models.canonical import canonical, canonical_conditional, shape_of
 from motes.models.correlated import Drive
 from motes.models.interface import Model
+from motes.models.structure import looked_at
 
 
 @record
@@ -37,19 +39,20 @@ class Setup:
     model: Any
     drive: Drive
 
-    def start(self, u: Inputs, y: jax.Array) -> Carry:
+    def start(self, u: Inputs, y: Any) -> Carry:
         """Return the law before y_0; of y only shape and type matter."""
         state = self.filter.init(random.child(random.step_key(self.key, 0), random.INITIAL), self.model)
-        return Carry(self._gathered(state), RunningSum.zero(y.dtype), jnp.zeros((), y.dtype), _nothing(y), u, jnp.int32(0))
+        dtype = self.given.dtype
+        return Carry(self._gathered(state), RunningSum.zero(dtype), jnp.zeros((), dtype), nothing_like(y), u, jnp.int32(0))
 
-    def update(self, carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
+    def update(self, carry: Carry, y: Any) -> tuple[Carry, Info]:
         """Take in a measurement of the present step."""
         u = self.drive.of(carry.u, carry.u, carry.y)
         key = random.child(random.step_key(self.key, carry.step), random.UPDATE)
         state, info = self.filter.update(key, self.model, carry.state, y, u, carry.step)
         return self._handed_on(carry, state, info, y, carry.u, carry.step)
 
-    def begin(self, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
+    def begin(self, y: Any, u: Inputs) -> tuple[Carry, Info]:
         """Take step 0."""
         return self.update(_apart(self.start(u, y)), y)
 
@@ -58,9 +61,9 @@ class Setup:
         t = carry.step + 1
         key = random.child(random.step_key(self.key, t), random.PREDICT)
         state = self.filter.predict(key, self.model, carry.state, self.drive.of(u, carry.u, carry.y), t)  # type: ignore[attr-defined]
-        return replace(carry, state=self._gathered(state), y=_nothing(carry.y), u=u, step=t)
+        return replace(carry, state=self._gathered(state), y=nothing_like(carry.y), u=u, step=t)
 
-    def step(self, carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
+    def step(self, carry: Carry, y: Any, u: Inputs) -> tuple[Carry, Info]:
         """Go to the next step and take in its measurement."""
         carry, y, u = _apart((carry, y, u))
         t = carry.step + 1
@@ -69,7 +72,7 @@ class Setup:
         )
         return _apart(self._handed_on(carry, state, info, y, u, t))
 
-    def _handed_on(self, carry: Carry, state: Any, info: Info, y: jax.Array, u: Inputs, t: jax.Array) -> tuple[Carry, Info]:
+    def _handed_on(self, carry: Carry, state: Any, info: Info, y: Any, u: Inputs, t: jax.Array) -> tuple[Carry, Info]:
         suspicion, rings = alarm.advanced(carry.suspicion, info.nis, info.freedom)
         evidence = carry.evidence.add(info.log_evidence)
         return Carry(self._gathered(state), evidence, suspicion, y, u, t), replace(info, alarm=rings)
@@ -78,7 +81,7 @@ class Setup:
         return state.gathered(self.given.circular)
 
 
-def setup(key: jax.Array, filter: Filter, model: Model, u: Inputs, y: jax.Array) -> Setup:
+def setup(key: jax.Array, filter: Filter, model: Model, u: Inputs, y: Any) -> Setup:
     """Check that filter, model, inputs and measurements fit each other, and prepare the model for the filter.
 
     Args:
@@ -86,17 +89,18 @@ def setup(key: jax.Array, filter: Filter, model: Model, u: Inputs, y: jax.Array)
         filter: the filter.
         model: the user's model.
         u: inputs of one step.
-        y: one measurement `(y,)`; of both only shapes and types matter.
+        y: one measurement; of both only shapes and types matter.
 
     Raises:
         MotesError: they do not; the message says what, where, and what to use instead.
     """
+    u = filter.seen_inputs(u)
     model.check(u)
-    size = model.measurement_size(u)
-    if size not in (None, y.shape[0]):
-        checks.refuse("ys", f"shape (t, {size}), as the sensor measures", f"{y.shape[0]} components")
+    if not isinstance(y, Observed) and model.measurement_size(u) not in (None, y.shape[0]):
+        checks.refuse("ys", f"shape (t, {model.measurement_size(u)}), as the sensor measures", f"{y.shape[0]} components")
     independent, drive = model.independent()
-    return Setup(key, filter, model, filter.prepare(independent, drive.of(u, u, _nothing(y))), drive)
+    driven = drive.of(u, u, nothing_like(y))
+    return Setup(key, filter, model, filter.prepare(looked_at(independent, driven, y), driven), drive)
 
 
 def carry_like(filter: Filter, model: Model, u: Inputs, y: Any) -> Carry:
@@ -110,17 +114,13 @@ def carry_like(filter: Filter, model: Model, u: Inputs, y: Any) -> Carry:
 
 def canonical_parts(filter: Filter, model: Model, u: Inputs, y: Any) -> tuple[Filter, Model]:
     """Return filter and model such that code compiled for equal ones is used again; u and y are one step's, or their shapes."""
-    u, y = jax.tree.map(shape_of, (u, y))
+    u, y = jax.tree.map(shape_of, (filter.seen_inputs(u), y))
     model = canonical(model, u, y)
     x = jax.ShapeDtypeStruct((model.size,), model.dtype)
     # a conditional among the parameters is a proposal: its functions see the pair of inputs and measurement
-    proposals = {name: canonical_conditional(f"{type(filter).__name__} {name}", parameter, x, (u, y), x)
+    proposals = {name: canonical_conditional(f"{type(filter).__name__} {name}", parameter, x, (u, value_of(y)), x)
                  for name, parameter in values(filter).items() if isinstance(parameter, Conditional)}  # fmt: skip
     return replace(filter, **proposals) if proposals else filter, model
-
-
-def _nothing(y: Any) -> jax.Array:
-    return jnp.full(y.shape, jnp.nan, y.dtype)
 
 
 def _apart(tree: Any) -> Any:

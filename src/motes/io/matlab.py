@@ -52,12 +52,7 @@ def read_matrices(path: str | os.PathLike[str], widths: Mapping[str, int]) -> di
         FileError: the file is damaged or no MATLAB 5 file, or a variable is missing, has another shape, or holds something other than
             finite real numbers; the message names the variable.
     """
-    size, start = look(path, HEADER)
-    if start[HEADER - 4 :] not in ORDERS:
-        reject(path, "a MATLAB 5 file", f"one that starts with {start[:8]!r}")
-    if size > LARGEST:
-        reject(path, f"a file of at most {LARGEST} bytes", size)
-    order = ORDERS[start[HEADER - 4 :]]
+    size, order = _looked_at(path)
     found: dict[str, np.ndarray] = {}
     others = []
     with foreign(path, "an undamaged MATLAB 5 file"):
@@ -77,6 +72,33 @@ def read_matrices(path: str | os.PathLike[str], widths: Mapping[str, int]) -> di
             row, column = bad[0]
             reject(path, f"finite numbers in {name}", f"{found[name][row, column]} in row {row + 1}, column {column + 1}")
     return found
+
+
+def read_all(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    """Read all matrices of real numbers, NaN among them or not; other variables are passed over.
+
+    Raises:
+        FileError: the file is damaged or no MATLAB 5 file, or a matrix is larger than allowed.
+    """
+    size, order = _looked_at(path)
+    found: dict[str, np.ndarray] = {}
+    with foreign(path, "an undamaged MATLAB 5 file"):
+        for variable in _variables(memoryview(Path(path).read_bytes())[HEADER:], order):
+            real = not variable.kind & COMPLEX and variable.kind & 0xFF in NUMERIC and len(variable.shape) == 2 and variable.shape[0] > 0
+            if real and variable.shape[1] > 0:
+                _check_size(path, variable, variable.shape[1], max(NUMBERS, size))
+                found[variable.name] = _as_matrix(variable, order)
+    return found
+
+
+def _looked_at(path: str | os.PathLike[str]) -> tuple[int, str]:
+    """Return size and byte order of a file."""
+    size, start = look(path, HEADER)
+    if start[HEADER - 4 :] not in ORDERS:
+        reject(path, "a MATLAB 5 file", f"one that starts with {start[:8]!r}")
+    if size > LARGEST:
+        reject(path, f"a file of at most {LARGEST} bytes", size)
+    return size, ORDERS[start[HEADER - 4 :]]
 
 
 def _check_size(path: str | os.PathLike[str], variable: _Variable, width: int, most: int) -> None:

@@ -1,4 +1,6 @@
+from .carried import Carried as Carried
 from .cloud import Cloud as Cloud
+from .clusters import Clusters as Clusters
 from .conditional import Conditional as Conditional
 from .cost_cloud import CostCloud as CostCloud
 from .factored import FactoredGaussian as FactoredGaussian

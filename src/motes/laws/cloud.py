@@ -73,6 +73,10 @@ class Cloud(Law):
         """Draw n particles with replacement, `(x, n)`."""
         return self.particles[:, draw(key, self.log_weights, n)]
 
+    def weighted_points(self) -> tuple[jax.Array, jax.Array]:
+        """Return the particles and their log weights."""
+        return self.particles, self.log_weights
+
     def resampled(self, ancestors: jax.Array) -> "Cloud":
         """Return the cloud of the named particles `(n,)`, with equal weights."""
         return Cloud(self.particles[:, ancestors], logspace.uniform_weights(ancestors.shape[0], self.particles.dtype), ancestors)

@@ -5,13 +5,12 @@ or such a function. Methods that take `X` work on a whole cloud `(x, n)`.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, linalg, random
+from motes.core import checks, linalg
 from motes.core.record import record, static
 from motes.core.types import MatrixLike, UserFunction
 from motes.laws.circular import wrap
@@ -51,6 +50,20 @@ class Conditional(ABC):
     """Whether mean function and noise covariance are known."""
     marginalizes: bool = True
     """Whether single missing (NaN) components can be left out of the density."""
+    measures_anything: bool = False
+    """Whether measurements may be other than vectors: arrays of any shape and type, or trees of them."""
+
+    def of_states(self, names: tuple[str, ...]) -> "Conditional":
+        """Return the same for a model whose states have these names; conditionals that name states look them up here."""
+        return self
+
+    def each(self, value: Any) -> list[tuple["Conditional", Any]]:
+        """Return the sensors that a measurement is of, each with what it measured of it."""
+        return [(self, value)]
+
+    def packed(self, ys: Any) -> Any:
+        """Return measurements as they come, time axis first, in the form in which they are computed with; as they are by default."""
+        return ys
 
     @abstractmethod
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
@@ -201,7 +214,8 @@ class LinearGaussian(AdditiveGaussian):
         A = check_matrix("LinearGaussian A", A)
         AdditiveGaussian.__init__(self, _linear, Q, angles)
         if not callable(A) and not callable(self.Q):
-            checks.shape("LinearGaussian Q", self.Q, (A.shape[0], A.shape[0]), "(rows of A)")
+            rows = jnp.shape(A)[0]
+            checks.shape("LinearGaussian Q", self.Q, (rows, rows), "(rows of A)")
         object.__setattr__(self, "A", A)
 
     def mean(self, x: jax.Array, u: Any, t: Any) -> jax.Array:
@@ -280,64 +294,3 @@ class AdditiveNoise(Conditional):
         wrong = jnp.isnan(residual) if seen is None else jnp.isnan(residual) & seen[:, None]
         size = (jnp.abs(value),) if isinstance(self.law, Gaussian) else ()
         return jnp.where(jnp.any(wrong, axis=0), jnp.nan, self.law.log_prob(residual, *size))
-
-
-@record
-class Custom(Conditional):
-    """A conditional law in the user's own words.
-
-    Attributes:
-        sampler: `(key, x, u, t)` draws one value `(z,)`; needed of dynamics, and of a sensor that is simulated.
-        density: `(value, x, u, t)` gives the log density, one number; needed of a sensor.
-        angles: components of the value that are angles in radians: as states they are averaged as such.
-    """
-
-    sampler: Callable[..., jax.Array] | None
-    density: Callable[..., jax.Array] | None
-    angles: tuple[int, ...] = static(default=())
-    marginalizes = False
-
-    def __init__(
-        self,
-        sample: Callable[..., jax.Array] | None = None,
-        log_prob: Callable[..., jax.Array] | None = None,
-        angles: tuple[int, ...] = (),
-    ):
-        """Check that at least one of the two functions is there.
-
-        Args:
-            sample: `(key, x, u, t)` to one value `(z,)`, or None.
-            log_prob: `(value, x, u, t)` to its log density, or None.
-            angles: components of the value that are angles in radians.
-
-        Raises:
-            MotesError: both are missing, or one is not callable.
-        """
-        if sample is None and log_prob is None:
-            checks.refuse("Custom", "sample, log_prob or both", "neither")
-        for name, value in (("sample", sample), ("log_prob", log_prob)):
-            if value is not None and not callable(value):
-                checks.refuse(f"Custom {name}", "a function", type(value).__name__)
-        object.__setattr__(self, "sampler", sample)
-        object.__setattr__(self, "density", log_prob)
-        object.__setattr__(self, "angles", tuple(angles))
-
-    def given(self, x: jax.Array, u: Any, t: Any) -> Law:
-        """Refuse: moments are not known."""
-        checks.refuse("Custom", "a conditional with a mean and a covariance", "one with only sample and log_prob",
-                      "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter.")
-
-    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
-        """Draw one value for each particle; one key per particle, since the user's sampler takes one."""
-        sampler, keys = self.sampler, random.split(key, X.shape[-1])
-        if sampler is None:
-            checks.refuse("Custom", "a sample function (it is simulated here)", "None")
-        return jax.vmap(lambda k, x: jnp.asarray(sampler(k, x, u, t)).astype(x.dtype), (0, -1), -1)(keys, X)
-
-    def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
-        """Log density given each particle."""
-        density = self.density
-        if density is None:
-            checks.refuse("Custom", "a log_prob function (its density is needed here)", "None")
-        per_value = None if value.ndim == 1 else -1
-        return jax.vmap(lambda v, x: jnp.asarray(density(v, x, u, t)).astype(x.dtype), (per_value, -1))(value, X)

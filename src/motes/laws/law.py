@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from motes.core import linalg
 from motes.core.checks import refuse
 from motes.core.record import record, static
+from motes.laws.clusters import Clusters, clusters, one_cluster
 
 
 class Law(ABC):
@@ -50,6 +51,19 @@ class Law(ABC):
         Args:
             count: how many modes there are, where the last state is the index of one (see `JumpMarkovModel.joined`); 0 where it is not.
         """
+        return None
+
+    def modes(self, count: int = 8) -> Clusters:
+        """Return the heaviest clusters of the law; one of a law that has one mode.
+
+        Args:
+            count: most clusters.
+        """
+        points = self.weighted_points()
+        return one_cluster(self.mean(), self.cov(), count) if points is None else clusters(*points, count)
+
+    def weighted_points(self) -> tuple[jax.Array, jax.Array] | None:
+        """Return points `(x, n)` in the user's order of states and their normalized log weights `(n,)`; None of a law that has none."""
         return None
 
     def gathered(self, angles: tuple[int, ...]) -> Self:

@@ -57,6 +57,10 @@ class MarginalCloud(Law):
         x_k = chosen.kalman.sample(random.child(key, 1), n)
         return linalg.take(jnp.concatenate([chosen.particles, x_k]), self.order)
 
+    def weighted_points(self) -> tuple[jax.Array, jax.Array]:
+        """Return particles and means of the Kalman part, in the user's order, and their log weights."""
+        return linalg.take(self._concatenated(), self.order), self.log_weights
+
     def resampled(self, ancestors: jax.Array) -> "MarginalCloud":
         """Return the cloud of the named particles `(n,)` with their Gaussians, equal weights."""
         cov = self.kalman.covariance

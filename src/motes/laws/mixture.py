@@ -91,6 +91,10 @@ class Mixture(Law):
         each = jax.vmap(of_one, in_axes=(-1, -1))(self.parts.center, cov)
         return jax.nn.logsumexp(each + self.log_weights[:, None], axis=0).reshape(shape)
 
+    def weighted_points(self) -> tuple[jax.Array, jax.Array]:
+        """Return the means of the components and their log weights: clusters leave out the covariances within."""
+        return self._counted(self.parts.center), self.log_weights
+
     def resampled(self, ancestors: jax.Array) -> "Mixture":
         """Return the mixture of the named components `(n,)`, with equal weights."""
         cov = self.parts.covariance

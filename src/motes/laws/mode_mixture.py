@@ -14,18 +14,18 @@ class ModeMixture(Mixture):
     Attributes:
         parts: batch of n Gaussians: means `(x, n)`, covariances `(x, x, n)`.
         log_weights: normalized, `(n,)`.
-        modes: mode of each, `(n,)` int32.
+        part_modes: mode of each, `(n,)` int32.
         count: number m of modes.
     """
 
-    modes: jax.Array
+    part_modes: jax.Array
     count: int = static()
 
     def mode_probabilities(self, count: int = 0) -> jax.Array:
         """Probabilities of the modes, `(m,)`."""
-        return mode_weights(self.modes, self.weights, self.count)
+        return mode_weights(self.part_modes, self.weights, self.count)
 
     def resampled(self, ancestors: jax.Array) -> "ModeMixture":
         """Return the mixture of the named components `(n,)` with their modes, and with equal weights."""
         chosen = Mixture.resampled(self, ancestors)
-        return replace(self, parts=chosen.parts, log_weights=chosen.log_weights, modes=self.modes[ancestors])
+        return replace(self, parts=chosen.parts, log_weights=chosen.log_weights, part_modes=self.part_modes[ancestors])

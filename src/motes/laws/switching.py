@@ -142,15 +142,21 @@ class SwitchingSensor(Conditional):
         """Whether the sensors of all modes do."""
         return all(part.marginalizes for part in self.parts)
 
+    @property
+    def measures_anything(self) -> bool:  # type: ignore[override]
+        """Whether the sensors of all modes do."""
+        return all(part.measures_anything for part in self.parts)
+
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Refuse: a Gaussian says little of a mode."""
         _refuse_moments()
 
-    def _each(self, X: jax.Array, ask: Callable[[Conditional, jax.Array], jax.Array]) -> jax.Array:
-        return of_mode(number_of(X[-1], len(self.parts)), [ask(part, X[:-1]) for part in self.parts])
+    def _each(self, X: jax.Array, ask: Callable[[Conditional, jax.Array], Any]) -> Any:
+        modes = number_of(X[-1], len(self.parts))
+        return jax.tree.map(lambda *each: of_mode(modes, list(each)), *[ask(part, X[:-1]) for part in self.parts])
 
-    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
-        """Draw one measurement for each particle, `(y, n)`."""
+    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> Any:
+        """Draw one measurement for each particle, particle axis last."""
         return self._each(X, lambda part, X: part.sample(key, X, u, t))
 
     def log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:

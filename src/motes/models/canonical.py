@@ -5,17 +5,23 @@ compile again. Here each user function is traced once on the shapes of its argum
 (see `tracing/identity.py`), or, where that cannot be compared, by what it reads.
 """
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom, LinearGaussian
+from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, LinearGaussian
+from motes.laws.custom import Custom
+from motes.laws.independent import Stacked, Together
+from motes.laws.observed import Observed, value_of
 from motes.laws.switching import SwitchingDynamics, SwitchingSensor
 from motes.models.interface import Model, Wrap, exchanged
 from motes.tracing.identity import canonical_function
 
+SOME = 3
+"""Particles that a function of all at once is traced with."""
 M = TypeVar("M", bound=Model)
 
 _FUNCTIONS = {AdditiveGaussian: ("f", "Q"), LinearGaussian: ("A", "Q"), AdditiveNoise: ("f",)}
@@ -27,7 +33,7 @@ def canonical(model: M, u: Any, y: Any = None) -> M:
     Args:
         model: a model of any kind.
         u: inputs of one step, or their shapes.
-        y: one measurement `(y,)` or its shape, for densities of sensors; without it these are left alone.
+        y: one measurement or its shapes, for densities of sensors; without it these are left alone.
 
     Raises:
         MotesError: a function of the user's fails; the message names it, its file and line.
@@ -44,7 +50,7 @@ def canonical_conditional(name: str, part: Conditional, x: Any, u: Any, value: A
         part: the conditional; kinds that are not the library's own come back as they are.
         x: shape of a state.
         u: shapes of the inputs of one step.
-        value: shape of what the conditional is the law of, or None where it is not known.
+        value: shapes of what the conditional is the law of, or None where they are not known.
     """
     t = jax.ShapeDtypeStruct((), jnp.int32)
     if isinstance(part, (SwitchingDynamics, SwitchingSensor)):
@@ -53,13 +59,28 @@ def canonical_conditional(name: str, part: Conditional, x: Any, u: Any, value: A
         value = _without_mode(value) if chain else value
         known = {"parts": tuple(canonical_conditional(f"{name} of mode {m}", each, rest, u, value) for m, each in enumerate(part.parts))}
         return exchanged(part, known | ({"transition": canonical_function(part.transition, (u, t), "transition(u, t)")} if chain else {}))
+    if isinstance(part, (Stacked, Together)):
+        own = value_of(value) if isinstance(value, Observed) else {}
+        parts = [canonical_conditional(f"{name} of {which}", each, x, u, own.get(which) if isinstance(own, Mapping) else None)
+                 for which, each in zip(part.of_parts, part.parts, strict=True)]  # fmt: skip
+        return exchanged(part, {"parts": tuple(parts)})
     if type(part) is Custom:
-        density, args = part.density, (value, x, u, t)
-        density = density if value is None else canonical_function(density, args, f"{name} log_prob(value, x, u, t)")
-        sampler = canonical_function(part.sampler, (_key_shape(), x, u, t), f"{name} sample(key, x, u, t)")
-        return exchanged(part, {"sampler": sampler, "density": density})
+        return exchanged(part, _canonical_custom(name, part, x, u, value))
     fields = _FUNCTIONS.get(type(part), ())
     return exchanged(part, {field: canonical_function(getattr(part, field), (x, u, t), f"{name} {field}(x, u, t)") for field in fields})
+
+
+def _canonical_custom(name: str, part: Custom, x: Any, u: Any, value: Any) -> dict[str, Any]:
+    t, value = jax.ShapeDtypeStruct((), jnp.int32), value_of(value)
+    x = jax.ShapeDtypeStruct((x.shape[0] if part.states is None else len(part.states), *[SOME] * part.batched), x.dtype)
+    sampler = canonical_function(part.sampler, (_key_shape(), x, u, t), f"{name} sample(key, x, u, t)")
+    density, digest = part.density, part.digest
+    if value is not None and digest is not None:
+        digest = canonical_function(digest, (value, u, t), f"{name} digest(value, u, t)")
+        value = jax.tree.map(shape_of, jax.eval_shape(lambda *args: digest(*args), value, u, t))
+    if value is not None:
+        density = canonical_function(density, (value, x, u, t), f"{name} log_prob(value, x, u, t)")
+    return {"sampler": sampler, "density": density, "digest": digest}
 
 
 def _without_mode(state: Any) -> jax.ShapeDtypeStruct:

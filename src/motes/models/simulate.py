@@ -10,7 +10,7 @@ from motes.core import checks, random
 from motes.core.loop import loop, with_first
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
-from motes.laws.conditional import Custom
+from motes.laws.custom import Custom
 from motes.models.canonical import canonical, one_of
 from motes.models.interface import Model
 from motes.models.state_space import StateSpaceModel, at_step, checked_inputs
@@ -18,7 +18,7 @@ from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
 
 
-def simulate(key: KeyLike, model: Model, steps: int, inputs: Inputs = None) -> tuple[jax.Array, jax.Array]:
+def simulate(key: KeyLike, model: Model, steps: int, inputs: Inputs = None) -> tuple[jax.Array, Any]:
     """Draw a trajectory and its measurements.
 
     Args:
@@ -28,7 +28,7 @@ def simulate(key: KeyLike, model: Model, steps: int, inputs: Inputs = None) -> t
         inputs: tree with the time axis first, or None.
 
     Returns:
-        States `(t, x)` and measurements `(t, y)`.
+        States `(t, x)` and measurements `(t, y)`, or in the form that a `Custom` sensor draws, time axis first.
 
     Raises:
         MotesError: steps is not a positive whole number, or inputs and model do not fit together.
@@ -40,7 +40,7 @@ def simulate(key: KeyLike, model: Model, steps: int, inputs: Inputs = None) -> t
     return _simulate(key, known, steps, inputs, Beside(known))
 
 
-def measurements(key: KeyLike, model: Model, xs: jax.Array, inputs: Inputs = None) -> jax.Array:
+def measurements(key: KeyLike, model: Model, xs: jax.Array, inputs: Inputs = None) -> Any:
     """Draw measurements of a given trajectory: those that `simulate` draws with this key, had it come along the same states.
 
     Args:
@@ -69,17 +69,17 @@ def _drawn_from(model: Model, inputs: Inputs) -> Model:
     model = canonical(model, jax.tree.map(one_of, inputs))
     if isinstance(model, StateSpaceModel) and isinstance(model.sensor, Custom):
         # a density that is not needed here must not decide what is compiled
-        model = replace(model, sensor=replace(model.sensor, density=None))
+        model = replace(model, sensor=replace(model.sensor, density=None, digest=None))
     return model
 
 
-def _measurement_at(key: jax.Array, model: StateSpaceModel, x: jax.Array, u: Inputs, t: Any) -> jax.Array:
+def _measurement_at(key: jax.Array, model: StateSpaceModel, x: jax.Array, u: Inputs, t: Any) -> Any:
     keyed = random.child(random.step_key(key, t), random.MEASURE)
-    return model.sensor.sample(keyed, x[:, None], u, t)[:, 0]
+    return jax.tree.map(lambda leaf: leaf[..., 0], model.sensor.sample(keyed, x[:, None], u, t))
 
 
 @jitted
-def _measurements(key: jax.Array, given: Model, xs: jax.Array, inputs: Inputs, beside: Beside) -> jax.Array:
+def _measurements(key: jax.Array, given: Model, xs: jax.Array, inputs: Inputs, beside: Beside) -> Any:
     model = given.as_state_space()
     key = random.child(key, random.NOISE)
     steps = jnp.arange(xs.shape[0], dtype=jnp.int32)
@@ -87,7 +87,7 @@ def _measurements(key: jax.Array, given: Model, xs: jax.Array, inputs: Inputs, b
 
 
 @partial(jitted, static_argnames=("steps",))
-def _simulate(key: jax.Array, given: Model, steps: int, inputs: Inputs, beside: Beside) -> tuple[jax.Array, jax.Array]:
+def _simulate(key: jax.Array, given: Model, steps: int, inputs: Inputs, beside: Beside) -> tuple[jax.Array, Any]:
     given.check(at_step(inputs, 0))
     model: StateSpaceModel = given.as_state_space()
     # a filter that is given the same key must not draw the truth as its first particle

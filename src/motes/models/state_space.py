@@ -15,7 +15,8 @@ from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, MatrixLike
 from motes.laws.circular import near
-from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom, check_matrix
+from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, check_matrix
+from motes.laws.custom import Custom
 from motes.laws.law import Law, as_law, check_size, drawn
 from motes.models.correlated import Drive, decorrelated
 from motes.models.interface import Model, Wrap, exchanged
@@ -65,6 +66,7 @@ class StateSpaceModel(Model):
         names = tuple(names) or tuple(f"x{i}" for i in range(size))
         if len(names) != size or len(set(names)) != size:
             checks.refuse("StateSpaceModel names", f"{size} different names, one per state", list(names))
+        sensor = sensor.of_states(names)
         if noise_cross_cov is not None:
             noise_cross_cov = _checked_cross_cov(noise_cross_cov, dynamics, sensor, size)
         fields = {"initial": initial, "dynamics": dynamics, "sensor": sensor, "names": names, "noise_cross_cov": noise_cross_cov}
@@ -185,9 +187,10 @@ def _checked_cross_cov(value: MatrixLike, dynamics: Conditional, sensor: Conditi
     value = check_matrix("noise_cross_cov", value, (size, None))
     known = (value, dynamics.Q, sensor.Q)
     if not any(callable(v) for v in known) and checks.is_concrete(known):
-        checks.shape("noise_cross_cov", value, (size, sensor.Q.shape[0]), "(states, measurements)")
-        joint = jnp.block([[dynamics.Q, value], [value.T, sensor.Q]])  # type: ignore[list-item]
-        checks.covariance("noise_cross_cov (with Q and R as one joint covariance)", joint, size + value.shape[1])
+        count = jnp.shape(sensor.Q)[0]  # type: ignore[arg-type]
+        checks.shape("noise_cross_cov", value, (size, count), "(states, measurements)")
+        joint = jnp.block([[dynamics.Q, value], [jnp.transpose(value), sensor.Q]])  # type: ignore[arg-type, list-item]
+        checks.covariance("noise_cross_cov (with Q and R as one joint covariance)", joint, size + count)
     return value
 
 

@@ -13,16 +13,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import markdown
-from motes.core.record import record, static
+from motes.core.record import record, replace, static
 from motes.core.types import Inputs
-from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, Custom
+from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional
+from motes.laws.custom import Custom
 from motes.laws.gaussian import Gaussian
+from motes.laws.observed import value_of
 from motes.models.canonical import canonical
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel, as_state_space
 from motes.tracing.affinity import dependence
 
 SHARED, TIME_VARYING, PER_PARTICLE = "shared", "time-varying", "per-particle"
+_LARGE = 100_000
+"""A density of more numbers than that is not traced: its states are to be named."""
 _EXHAUSTIVE = 18
 """Up to this many candidate states every subset is tried; beyond, the set grows greedily."""
 
@@ -133,12 +137,36 @@ def trace(model: StateSpaceModel, inputs: Inputs) -> Traced:
 
 def _states_in_density(part: Conditional, x: Any, u: Any, t: Any) -> np.ndarray:
     """States that a density which is not Gaussian looks at."""
-    if isinstance(part, Custom) and part.density is None:
-        return np.ones(x.shape[0], bool)
+    if isinstance(part, Custom) and (part.states is not None or part.looks is not None):
+        seen = np.zeros(x.shape[0], bool)
+        seen[list(part.looks if part.states is None else part.states)] = True  # type: ignore[arg-type]
+        return seen
     if isinstance(part, AdditiveNoise):
         found = dependence(lambda part, x, u, t: part.f(x, u, t), (part, x, u, t), ("fixed", "elements", "whole", "whole"))
         return found.uses.reshape(-1, x.shape[0] + 2).any(axis=0)[: x.shape[0]]
     return np.ones(x.shape[0], bool)
+
+
+def looked_at(model: Any, inputs: Inputs, y: Any) -> Any:
+    """Return a model whose sensor says at which states its density looks, as tracing finds once the form of a measurement is known.
+
+    Args:
+        model: a model in any form; others than state-space models with a `Custom` sensor come back as they are.
+        inputs: of one step, as the model's functions take them.
+        y: one measurement, or its shapes.
+    """
+    sensor = getattr(model, "sensor", None)
+    if not isinstance(model, StateSpaceModel) or not isinstance(sensor, Custom) or sensor.states is not None or sensor.density is None:
+        return model
+    x, t = jax.ShapeDtypeStruct((model.size,), model.dtype), jax.ShapeDtypeStruct((), jnp.int32)
+    digest, own = sensor.digest, sensor.density
+    value = value_of(y) if digest is None else jax.eval_shape(lambda *args: digest(*args), value_of(y), inputs, t)
+    if sum(leaf.size for leaf in jax.tree.leaves(value)) > _LARGE:
+        return model
+    density = lambda v, x, u, t: own(v, x[:, None] if sensor.batched else x, u, t)  # noqa: E731
+    found = dependence(density, (value, x, inputs, t), ("fixed", "elements", "whole", "whole"))
+    used = found.uses.reshape(-1, model.size + 2).any(axis=0)[: model.size]
+    return model if used.all() else replace(model, sensor=replace(sensor, looks=tuple(np.flatnonzero(used).tolist())))
 
 
 def _some(marks: Any) -> np.ndarray:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.laws.cloud import Cloud
-from motes.laws.conditional import Custom
+from motes.laws.custom import Custom
 from motes.models.state_space import StateSpaceModel, as_state_space
 from motes.parameters.posterior import Parametric
 

@@ -38,7 +38,7 @@ def robot_figure(history: History, scenario: Any) -> Any:
 def _map(axes: Any, history: History, scenario: Any) -> None:
     estimate = np.asarray(history.mean)[scenario.scored]
     axes.plot(*scenario.dead_reckoning.T, color=INERTIAL, lw=0.8, label="odometry alone")
-    axes.plot(*scenario.truth[:, :2].T, color=TRUE, lw=1.6, label="truth (RTK GPS)")
+    axes.plot(*scenario.truth[:, :2].T, color=TRUE, lw=1.6, label="truth")
     axes.plot(estimate[:, 0], estimate[:, 1], color=ESTIMATE, lw=0.9, label="estimate")
     axes.plot(*scenario.beacons.T, "^", color="tab:red", ms=9, label="beacon")
     axes.plot(*scenario.truth[0, :2], "o", mfc="white", color=TRUE, ms=7, label="start")

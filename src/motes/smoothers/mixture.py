@@ -99,7 +99,7 @@ class MixtureSmoother(Smoother):
         last: ModeMixture = at_step(laws, -1)
         opening = random.step_key(key, steps.t[-1])
         first = last.resampled(draw(random.child(opening, random.RESAMPLE), last.log_weights, self.n))
-        start = _Drawn(first.parts.sample(random.child(opening, random.NOISE), self.n), first.modes)
+        start = _Drawn(first.parts.sample(random.child(opening, random.NOISE), self.n), first.part_modes)
         equal = logspace.uniform_weights(self.n, start.states.dtype)
 
         def back(after: _Drawn, row: Any) -> tuple[_Drawn, tuple[jax.Array, ...]]:
@@ -131,7 +131,7 @@ class MixtureSmoother(Smoother):
         # 2. weights of the components
         moves = [self.rule.linearized(part.dynamics, law.parts, u, t) for part in model.models]
         covs = [move.over(law.parts).covariance for move in moves]
-        log_transition = model.log_transition(u, t)[law.modes]
+        log_transition = model.log_transition(u, t)[law.part_modes]
         size = jnp.max(jnp.abs(jnp.concatenate([after.states, *(move.prediction for move in moves)], axis=1)), axis=1)
 
         def log_weights(state: jax.Array, mode: jax.Array, trusted: float | None) -> jax.Array:
@@ -153,7 +153,7 @@ class MixtureSmoother(Smoother):
         chosen = law.resampled(parents)
         move = Linearized(*(of_mode(after.modes, [leaf[..., parents] for leaf in leaves]) for leaves in zip(*moves, strict=True)))
         done = chosen.parts.corrected(wrap(after.states - move.prediction, model.circular), move.slope, move.noise).law
-        return Gaussian(jnp.where(known, done.center, jnp.nan), done.covariance), chosen.modes, jnp.mean(probabilities, axis=0)
+        return Gaussian(jnp.where(known, done.center, jnp.nan), done.covariance), chosen.part_modes, jnp.mean(probabilities, axis=0)
 
 
 def _with_modes(laws: Mixture, count: int) -> ModeMixture:

@@ -1,6 +1,8 @@
 """One verb for all smoothers."""
 
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,9 +10,10 @@ import numpy as np
 from motes.core import checks, random
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike, Measurements
-from motes.filters.data import checked_data
+from motes.filters.data import checked_data, steps_of
 from motes.filters.history import History
-from motes.models.canonical import canonical, one_of
+from motes.laws.observed import Observed
+from motes.models.canonical import canonical, one_of, shape_of
 from motes.models.interface import Model
 from motes.models.state_space import at_step, checked_inputs
 from motes.smoothers.interface import Smoothed, Smoother, Steps
@@ -48,7 +51,11 @@ def smooth(
     inputs = checked_inputs(inputs, count, "history")
     if ys is not None:
         ys, inputs = checked_data(model, ys, inputs)
-        checks.shape("smooth ys", ys, (count, history.last.y.shape[0]), "(as in the run)")
+        form, of_run = jax.tree.map(one_of, ys), jax.tree.map(shape_of, history.last.y)
+        if isinstance(ys, Observed) and (form != of_run or steps_of(ys) != count):
+            checks.refuse("smooth ys", "the measurements of the run", "others")
+        if not isinstance(ys, Observed):
+            checks.shape("smooth ys", ys, (count, *of_run.shape), "(as in the run)")
     elif model.correlated:
         checks.refuse("smooth ys", "the measurements of the run (its noises are correlated)", "None")
     known = canonical(model, jax.tree.map(one_of, inputs), history.last.y)
@@ -71,7 +78,7 @@ def _ask_found(smoother: Smoother, mean: jax.Array, history: History) -> None:
 
 @jitted
 def _smooth(
-    key: jax.Array, smoother: Smoother, model: Model, history: History, ys: Measurements | None, inputs: Inputs, beside: Beside
+    key: jax.Array, smoother: Smoother, model: Model, history: History, ys: Any, inputs: Inputs, beside: Beside
 ) -> Smoothed:
     model, drive = model.independent()
     inputs = drive.over(inputs, ys)

@@ -22,6 +22,7 @@ from motes.laws.cloud import Cloud, weighted_moments
 from motes.laws.conditional import AdditiveGaussian, matrix_over
 from motes.laws.density import noiseless
 from motes.laws.gaussian import Gaussian
+from motes.laws.observed import is_nothing
 from motes.models.state_space import StateSpaceModel
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_backward_density, ask_laws
 from motes.smoothers.parents import Move
@@ -118,7 +119,7 @@ def _spreads_everywhere(move: Move, z: jax.Array) -> jax.Array | bool:
 
 def _log_likelihood(model: StateSpaceModel, z: jax.Array, row: Steps) -> jax.Array:
     assert row.y is not None
-    return jnp.where(jnp.all(jnp.isnan(row.y)), 0, model.sensor.log_prob(row.y, z, row.u, row.t))
+    return jnp.where(is_nothing(row.y), 0, model.sensor.log_prob(row.y, z, row.u, row.t))
 
 
 def _log_sum(log_prob: Callable[[jax.Array], jax.Array], log_weights: jax.Array, z: jax.Array) -> jax.Array:

@@ -11,6 +11,7 @@ from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.filters.interface import Filter
 from motes.filters.setup import carry_like
+from motes.laws.observed import Observed
 from motes.models.canonical import one_of
 from motes.models.interface import Model
 from motes.models.simulate import measurements, simulate
@@ -108,7 +109,9 @@ class Experiment:
             MotesError: the parts of the world do not fit each other.
         """
         _, ys = jax.eval_shape(self.drawn, 0)
-        return jax.tree.map(one_of, self.inputs), one_of(ys)
+        y = jax.tree.map(one_of, ys)
+        vector = isinstance(y, jax.ShapeDtypeStruct) and len(y.shape) == 1
+        return jax.tree.map(one_of, self.inputs), y if vector else Observed(y, jax.ShapeDtypeStruct((), bool))
 
     def check(self) -> None:
         """Bring each filter and its model together, on shapes alone.

@@ -127,11 +127,11 @@ def one_run(experiment: Experiment, part: str, number: Any) -> dict[str, Any]:
     blocks = tuple(tuple(places(states, of)) for _, of in experiment.blocks)
     likelihood = history.log_likelihood if history.has_evidence else jnp.full((), jnp.nan, xs.dtype)
     # not the history itself, which carries the filter: this is compiled once for all of them
-    return _errors((mean, cov, history.info), xs, blocks, experiment.angles) | {"log_likelihood": likelihood}
+    return _errors_of_blocks((mean, cov, history.info), xs, blocks, experiment.angles) | {"log_likelihood": likelihood}
 
 
 @partial(jitted, static_argnames=("blocks", "angles"))
-def _errors(
+def _errors_of_blocks(
     found: tuple[jax.Array, jax.Array, Info], xs: jax.Array, blocks: tuple[tuple[int, ...], ...], angles: tuple[int, ...]
 ) -> dict[str, jax.Array]:
     means, covs, info = found

@@ -125,6 +125,8 @@ def weights(session: Session) -> str | None:
     session.ask_own_model()
     if not session.filter.weighs:
         raise DoesNotApply("the filter weighs nothing.")
+    if session.filter.adds_inputs:
+        raise DoesNotApply("its inputs are a dictionary.")
     model, ys = extreme(), session.ys[:, :2]
     for number, case in enumerate(EXTREME):
         if number == 0:

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.laws.conditional import Custom, LinearGaussian
+from motes.laws.conditional import LinearGaussian
+from motes.laws.custom import Custom
 from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel
 

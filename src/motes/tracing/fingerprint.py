@@ -51,7 +51,7 @@ def _word(argument: str, value: Any) -> str:
     """Write down an array, a function of the library's, or a plain value; refuse what only says where in memory it is."""
     if isinstance(value, (jax.Array, np.ndarray)) and not jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
         return f"{value.dtype}{value.shape}{hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()}"
-    if isinstance(value, FunctionType) and value.__module__.startswith("motes.") and value.__closure__ is None:
+    if isinstance(value, FunctionType) and (value.__module__ or "").startswith("motes.") and value.__closure__ is None:
         return f"{value.__module__}.{value.__qualname__}"
     text = value.name if isinstance(value, Primitive) else repr(value)
     foreign = is_function(value) and not isinstance(value, type) and type(value).__module__.partition(".")[0] not in ("jax", "jaxlib")

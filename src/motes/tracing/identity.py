@@ -228,7 +228,7 @@ def _gathered(value: Any, found: list[str]) -> bool:
 
 
 def _of_library(function: FunctionType) -> bool:
-    return function.__module__.partition(".")[0] == "motes" and function.__closure__ is None
+    return (function.__module__ or "").partition(".")[0] == "motes" and function.__closure__ is None
 
 
 def _tell_object(value: Any, found: list[str]) -> bool:

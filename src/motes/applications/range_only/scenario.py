@@ -99,8 +99,12 @@ def load(path: str | os.PathLike[str], odometry: str = "recorded", outliers: flo
         FileError: the file cannot be used.
         MotesError: a setting is none of these.
     """
+    return of_recording(read_plaza(path), odometry, outliers, start)
+
+
+def of_recording(recording: RangeOnlyRecording, odometry: str = "recorded", outliers: float = 0.0, start: str = "known") -> Scenario:
+    """Make a recording a job; see `load`."""
     checks.option("odometry", odometry, ("recorded", "drifting"))
-    recording = read_plaza(path)
     turns = recording.odometry[:, 2] if odometry == "recorded" else drifting_turns(recording)
     return scenario(recording, turns, outliers, start)
 

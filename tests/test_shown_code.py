@@ -38,11 +38,11 @@ SMALLER = {
 
 def blocks(text):
     """Each piece of Python in a page, and what it must print (None: nothing is said of that)."""
-    fences = re.findall(r"^```(\w*)\n(.*?)^```$(\s*)", text, re.S | re.M)
-    following = [*fences[1:], ("", "", "")]
-    for (kind, code, between), (next_kind, printed, _) in zip(fences, following, strict=True):
-        if kind == "python":
-            yield code, printed if not next_kind and printed and len(between) <= 2 else None
+    fences = list(re.finditer(r"^```(\w*)\n(.*?)^```\n+", text, re.S | re.M))
+    for place, fence in enumerate(fences):
+        after = fences[place + 1] if place + 1 < len(fences) else None
+        if fence[1] == "python":
+            yield fence[2], after[2] if after and not after[1] and after.start() == fence.end() else None
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
@@ -98,6 +98,6 @@ def test_every_method_names_its_sources():
     for method in METHODS:
         source = re.search(r"^Source: (.*?)\.$", inspect.getdoc(method), re.S | re.M)
         assert source, method.__name__
-        for one in " ".join(source[1].split()).split("; "):
+        for one in re.split(r"; (?=\D+ \d{4}, )", " ".join(source[1].split())):
             authors, year, title = re.fullmatch(r"(\D+) (\d{4}), (.*)", one).groups()
             assert titles.get(title) == year and all(name in bib for name in authors.split(", ")), one

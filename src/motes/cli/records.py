@@ -1,0 +1,149 @@
+"""Filters, smoothers and what they are made of, chosen by name with all their parameters: from the records themselves.
+
+A choice is a name, or a table whose `kind` is the name and whose other keys are parameters: `filter = "kalman"`, or
+`[filter] kind = "particle", n = 2000, policy = { kind = "ESS", share = 0.3 }`. A flag names the place of a parameter:
+`--filter.policy.share 0.3`.
+"""
+
+import dataclasses
+import difflib
+import importlib
+import inspect
+import re
+import tomllib
+import types
+import typing
+from collections.abc import Sequence
+from typing import Any
+
+from motes.cli.options import KINDS, refuse, shown
+
+KIND = "kind"
+ROOMS = ("motes", "motes.filters", "motes.resampling", "motes.smoothers", "motes.gaussian")
+"""Where the records are that a user can name."""
+
+
+def spelled(name: str) -> str:
+    """Return a name as it is compared: no case, hyphens or spaces, and without what all of a kind end in."""
+    plain = re.sub(r"[\s_-]", "", name).lower()
+    for ending in ("particlefilter", "filter", "smoother", "resampling", "proposal"):
+        if plain.endswith(ending) and plain != ending:
+            plain = plain[: -len(ending)]
+    return plain
+
+
+def kinds(base: type) -> dict[str, type]:
+    """Return the records of a kind that a user can name, by the name of their class."""
+    rooms = [importlib.import_module(room) for room in ROOMS]
+    found = [getattr(room, name) for room in rooms for name in room.__all__]
+    return {one.__name__: one for one in found if inspect.isclass(one) and issubclass(one, base) and not inspect.isabstract(one)
+            and dataclasses.is_dataclass(one)}  # fmt: skip
+
+
+def build(base: type, choice: Any, place: str) -> Any:
+    """Return the record that a choice names.
+
+    Args:
+        base: what it must be: `Filter`, `Smoother`, `Scheme`, ...
+        choice: a name, or a table with `kind` and parameters.
+        place: where it stands, for messages.
+
+    Raises:
+        MotesError: there is no such kind or parameter, or a value cannot be used; the message names the place.
+    """
+    table = {KIND: choice} if isinstance(choice, str) else dict(choice) if isinstance(choice, dict) else None
+    if table is None or not isinstance(table.get(KIND), str):
+        refuse(place, f"a name, or a table with {KIND} = a name", shown(choice))
+    known = kinds(base)
+    short = {spelled(name): one for name, one in known.items()}
+    kind = known.get(table[KIND]) or short.get(spelled(table[KIND]))
+    if kind is None:
+        near = difflib.get_close_matches(spelled(table[KIND]), short, 5, 0.4) or sorted(short)[:12]
+        refuse(f"{place} {KIND}", f"the name of a {base.__name__}, such as {', '.join(near)}", shown(table[KIND]))
+    fields = {field.name: field for field in dataclasses.fields(kind) if field.init is not False}
+    given = {name: value for name, value in table.items() if name != KIND}
+    unknown = sorted(set(given) - set(fields))
+    if unknown:
+        refuse(f"{place}", f"parameters of {kind.__name__}: {', '.join(fields) or 'none'}", shown(unknown[0]))
+    missing = [name for name, field in fields.items() if field.default is dataclasses.MISSING
+               and field.default_factory is dataclasses.MISSING and name not in given]  # fmt: skip
+    if missing:
+        refuse(f"{place} {missing[0]}", f"a value, which {kind.__name__} asks for", "none", f"Give --{place}.{missing[0]}.")
+    hints = typing.get_type_hints(kind)
+    return kind(**{name: _field_value(hints[name], value, f"{place} {name}") for name, value in given.items()})
+
+
+def _field_value(hint: Any, value: Any, place: str) -> Any:
+    """Return a value in the kind of its field."""
+    options = typing.get_args(hint) if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union else (hint,)
+    if value in ("none", "None") and types.NoneType in options:
+        return None
+    records = [one for one in options if inspect.isclass(one) and (dataclasses.is_dataclass(one) or inspect.isabstract(one))]
+    if records and isinstance(value, (str, dict)):
+        return build(records[0], value, place)
+    plain = [one for one in options if one in (int, float, str, bool)]
+    if float in plain and type(value) is int:
+        return float(value)
+    if type(value) in plain:
+        return value
+    if any(typing.get_origin(one) is tuple or one is tuple for one in options) and isinstance(value, (list, tuple, str, int, float)):
+        return tuple(value) if isinstance(value, (list, tuple)) else (value,)
+    wanted = [*(KINDS[one] for one in plain), *(f"a {one.__name__}" for one in records)]
+    refuse(place, " or ".join(wanted) or "another value", shown(value))
+
+
+def flags_of(words: Sequence[str], roots: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """Take the flags out of the words that choose records: `--filter NAME`, `--filter.PARAMETER VALUE`.
+
+    Returns:
+        A table for each root that was named, with tables inside; and the other words.
+
+    Raises:
+        MotesError: a flag has no value.
+    """
+    found: dict[str, Any] = {}
+    rest, at = [], 0
+    while at < len(words):
+        word, _, value = words[at].partition("=")
+        root = word[2:].split(".")[0] if word.startswith("--") else ""
+        if root not in roots:
+            rest.append(words[at])
+            at += 1
+            continue
+        if "=" not in words[at]:
+            if at + 1 >= len(words):
+                refuse(word, "a value after it", "nothing")
+            value, at = words[at + 1], at + 1
+        place = word[2:].split(".") + ([KIND] if word.count(".") == 0 else [])
+        _put(found, place, _literal(value))
+        at += 1
+    return found, rest
+
+
+def _put(table: dict[str, Any], place: list[str], value: Any) -> None:
+    for name in place[:-1]:
+        inner = table.get(name)
+        table[name] = inner if isinstance(inner, dict) else {} if inner is None else {KIND: inner}
+        table = table[name]
+    if isinstance(table.get(place[-1]), dict):
+        table[place[-1]][KIND] = value
+    else:
+        table[place[-1]] = value
+
+
+def _literal(text: str) -> Any:
+    """Return a value as TOML has it, or the text itself: 3, 0.5, true, [1, 2], vx,vy."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.split(",") if "," in text else text
+
+
+def merged(table: Any, flags: Any) -> Any:
+    """Return the choice of a file with what flags change of it; another kind begins anew."""
+    if not isinstance(flags, dict):
+        return flags
+    base = {KIND: table} if isinstance(table, str) else dict(table or {})
+    if KIND in flags and spelled(str(flags[KIND])) != spelled(str(base.get(KIND, flags[KIND]))):
+        base = {}
+    return {**base, **{name: merged(base.get(name), value) if isinstance(value, dict) else value for name, value in flags.items()}}

@@ -1,0 +1,109 @@
+"""Measurements with time stamps: brought to one line of steps, with the time between them as an input of the model."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from motes.core import checks
+from motes.core.record import record, static
+from motes.core.types import Inputs
+from motes.io import instants
+from motes.laws.observed import Observed
+
+SAME = 1e-6
+"""Stamps of two sensors that differ by less, in seconds, are one step."""
+
+
+@record
+class Timeline:
+    """Measurements of a run with their times; `run` takes one for its measurements.
+
+    Attributes:
+        ys: measurements, time axis first; of several sensors by name.
+        inputs: dictionary of the inputs, with `dt`, the seconds since the step before, `(t,)`; 0 at the first.
+        seconds: since the first step, float64 `(t,)`.
+        start: the first time: of dates in Unix seconds.
+    """
+
+    ys: Any
+    inputs: Any
+    seconds: np.ndarray
+    start: float = static()
+
+
+def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensors: tuple[Any, Any]) -> Timeline:
+    """Bring measurements with time stamps to one line of steps, however uneven.
+
+    A model that asks for the time between steps finds it among its inputs: `u["dt"]`, in seconds.
+
+    Args:
+        stamps: time of each measurement `(t,)`: seconds, datetime64, what pandas makes of them; they never decrease, and may be equal.
+        ys: measurements, time axis first.
+        inputs: dictionary of further inputs of each step, time axis first; of one sensor only.
+        sensors: in place of both, for each sensor of an `Independent` by name its stamps and its measurements; what has the same time is
+            one step, in which the others measured nothing.
+
+    Raises:
+        MotesError: stamps are missing, decrease, or are not as many as measurements; the message names the row.
+    """
+    if bool(sensors) == (stamps is not None):
+        checks.refuse("times", "stamps and measurements, or both for each sensor by name", "both" if sensors else "none")
+    if not sensors:
+        start, seconds = instants.times(stamps, name="times stamps")
+        return Timeline(ys, _with_steps(inputs, _counted("times ys", ys, seconds)), seconds, start)
+    if inputs is not None:
+        checks.refuse("times inputs", "none beside several sensors", "some", "Add them to `timeline.inputs`, by `timeline.seconds`.")
+    found = {}
+    for name, pair in sensors.items():
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            checks.refuse(f"times {name}", "a pair of stamps and measurements", type(pair).__name__)
+        begun, since = instants.times(pair[0], name=f"times {name}")
+        found[name] = (begun, _counted(f"times {name}", pair[1], since))
+    start = min(begun for begun, _ in found.values())
+    keys = {name: _numbered(begun - start + since) for name, (begun, since) in found.items()}
+    line = sorted({key for each in keys.values() for key in each})
+    place = {key: row for row, key in enumerate(line)}
+    merged = {name: _spread(pair[1], [place[key] for key in keys[name]], len(line)) for name, pair in sensors.items()}
+    seconds = np.array([second for second, _ in line])
+    return Timeline(merged, _with_steps(None, seconds), seconds, start)
+
+
+def _counted(name: str, ys: Any, seconds: np.ndarray) -> np.ndarray:
+    lengths = {np.shape(leaf)[0] if np.ndim(leaf) else 0 for leaf in jax.tree.leaves(ys)}
+    if lengths != {seconds.size}:
+        checks.refuse(name, f"a measurement for each of {seconds.size} stamps", f"{', '.join(map(str, sorted(lengths))) or 'none'}")
+    return seconds
+
+
+def _numbered(seconds: np.ndarray) -> list[tuple[float, int]]:
+    """Return each time, rounded, with how often it has come before: one sensor twice at a time makes two steps."""
+    found: list[tuple[float, int]] = []
+    for second in np.round(seconds / SAME) * SAME:
+        found.append((float(second), found[-1][1] + 1 if found and found[-1][0] == second else 0))
+    return found
+
+
+def _with_steps(inputs: Inputs, seconds: np.ndarray) -> dict[str, Any]:
+    if inputs is not None and not isinstance(inputs, dict):
+        checks.refuse("times inputs", "a dictionary of inputs by name", type(inputs).__name__)
+    if inputs is not None and "dt" in inputs:
+        checks.refuse("times inputs", "other names than 'dt', which is the time between steps", "'dt'")
+    return {**(inputs or {}), "dt": np.diff(seconds, prepend=seconds[:1]).astype(np.float32)}
+
+
+def _spread(ys: Any, rows: list[int], steps: int) -> Any:
+    """Put the measurements of one sensor at its steps of all; numbers are NaN elsewhere, and other arrays say where they are."""
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(ys)]
+    real = all(np.issubdtype(leaf.dtype, np.floating) or leaf.ndim < 3 for leaf in leaves)
+
+    def one(leaf: Any) -> np.ndarray:
+        array = np.asarray(leaf)
+        array = array.astype(np.float64) if real and not np.issubdtype(array.dtype, np.floating) else array
+        whole = np.full((steps, *array.shape[1:]), np.nan if real else 0, array.dtype)
+        whole[rows] = array
+        return whole
+
+    found = jax.tree.map(one, ys)
+    return found if real else Observed(found, np.isin(np.arange(steps), rows))
+

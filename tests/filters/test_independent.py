@@ -1,0 +1,89 @@
+"""Several sensors by name are one sensor; each that measured nothing is left out."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import motes as mo
+
+STEPS = 12
+RADAR = mo.AdditiveGaussian(lambda x, u, t: jnp.stack([jnp.hypot(x[0], x[1]), jnp.arctan2(x[1], x[0])]), np.diag([4.0, 1e-3]), angles=(1,))
+SPEED = mo.LinearGaussian([[0.0, 0.0, 1.0, 0.0]], [[0.1]])
+ONE = mo.AdditiveGaussian(
+    lambda x, u, t: jnp.stack([x[2], jnp.hypot(x[0], x[1]), jnp.arctan2(x[1], x[0])]), np.diag([0.1, 4.0, 1e-3]), angles=(2,)
+)
+
+
+def model(sensor):
+    base = mo.textbook.constant_velocity()
+    start = mo.Gaussian(jnp.array([-40.0, 0.5, 1.0, 0.0]), jnp.diag(jnp.array([4.0, 4.0, 0.5, 0.5])))
+    return mo.StateSpaceModel(start, base.dynamics, sensor, base.names)
+
+
+GAUSSIAN = model(mo.Independent(speed=SPEED, radar=RADAR))
+XS, YS = (np.array(drawn) for drawn in mo.simulate(3, model(ONE), STEPS))
+"""The bearing is near pi: it crosses the cut."""
+NAMED = {"speed": YS[:, 0], "radar": YS[:, 1:]}
+FILTERS = {
+    "extended Kalman": mo.ExtendedKalmanFilter(), "cubature": mo.CubatureKalmanFilter(), "particle": mo.ParticleFilter(n=400),
+    "marginalized": mo.MarginalizedParticleFilter(n=400), "ensemble": mo.EnsembleKalmanFilter(n=200),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_it_is_the_sensor_that_has_all_components(name):
+    found, wanted = mo.run(1, FILTERS[name], GAUSSIAN, NAMED), mo.run(1, FILTERS[name], model(ONE), YS)
+    np.testing.assert_allclose(found.mean, wanted.mean, rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(found.log_likelihood, wanted.log_likelihood, rtol=2e-3, atol=2e-2)
+
+
+def test_silent_sensors_are_left_out():
+    ys = YS.copy()
+    ys[:, 0] = np.nan
+    ys[4] = np.nan
+    radar = NAMED["radar"].copy()
+    radar[4] = np.nan
+    found, wanted = mo.run(1, mo.ExtendedKalmanFilter(), GAUSSIAN, {"radar": radar}), mo.run(1, mo.ExtendedKalmanFilter(), model(ONE), ys)
+    np.testing.assert_allclose(found.mean, wanted.mean, rtol=1e-4, atol=1e-4)
+    stream = mo.stream(1, mo.ExtendedKalmanFilter(), GAUSSIAN)
+    for t in range(STEPS):
+        if t:
+            stream.predict()
+        stream.update({"radar": radar[t]} if t != 4 else None)
+    np.testing.assert_allclose(stream.mean, found.mean[-1], rtol=1e-4, atol=1e-4)
+
+
+def test_densities_of_any_kind_are_multiplied():
+    """A picture whose one pixel is the speed, beside the radar."""
+
+    def log_prob(frame, x, u, t):
+        return -0.5 * ((frame[1, 1].astype(jnp.float32) - 128) / 40 - x[2]) ** 2 / 0.1
+
+    frames = np.random.default_rng(0).integers(0, 255, (STEPS, 3, 3)).astype(np.uint8)
+    frames[:, 1, 1] = np.round(np.clip(YS[:, 0], -3, 3) * 40 + 128)
+    ys = YS.copy()
+    ys[:, 0] = (frames[:, 1, 1].astype(float) - 128) / 40
+    mixed = model(mo.Independent(camera=mo.Custom(log_prob=log_prob), radar=RADAR))
+    found = mo.run(1, mo.ParticleFilter(n=400), mixed, {"camera": frames, "radar": NAMED["radar"]})
+    wanted = mo.run(1, mo.ParticleFilter(n=400), model(ONE), ys)
+    np.testing.assert_allclose(found.mean, wanted.mean, rtol=5e-3, atol=5e-3)
+    alone = mo.run(1, mo.ParticleFilter(n=400), mixed, {"radar": NAMED["radar"]})
+    ys[:, 0] = np.nan
+    np.testing.assert_allclose(alone.mean, mo.run(1, mo.ParticleFilter(n=400), model(ONE), ys).mean, rtol=5e-3, atol=5e-3)
+
+
+@pytest.mark.parametrize(("ys", "words"), [
+    ({"sonar": YS[:, 0]}, "ys: expected measurements of speed, radar, got 'sonar'"),
+    ({"radar": YS}, r"ys\['radar'\]: expected shape \(12, 2\)"),
+    ({"radar": YS[:, 1:], "speed": YS[:5, 0]}, "of one length"),
+])  # fmt: skip
+def test_what_does_not_fit_is_refused(ys, words):
+    with pytest.raises(mo.MotesError, match=words):
+        mo.run(1, mo.ExtendedKalmanFilter(), GAUSSIAN, ys)
+
+
+def test_no_sensor_is_refused():
+    with pytest.raises(mo.MotesError, match="Independent: expected at least one sensor"):
+        mo.Independent()
+    with pytest.raises(mo.MotesError, match="Independent a: expected a sensor"):
+        mo.Independent(a=3)
