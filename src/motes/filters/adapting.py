@@ -62,7 +62,7 @@ class Adapting(Wrapper):
         if not callable(self.learn):
             checks.refuse("Adapting learn", "a function (key, memory, law, y, u, t)", type(self.learn).__name__)
 
-    adds_inputs = True
+    adds_inputs = True  # type: ignore[assignment]
 
     def inputs_with(self, u: Any, beside: Any) -> dict[str, Any]:
         """Return the inputs with the memory.
