@@ -30,7 +30,10 @@ check: lint
 	@XLA_FLAGS="$$($(BIN)/python tests/quick.py)" MOTES_SECONDS=110 JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.jax JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.2 \
 		$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized" $$($(BIN)/python tests/sources.py)
 
-# quick.py: compiles three times as fast; what asks for the full compiler is marked "optimized"
+# quick.py: compiles three times as fast; what asks for the full compiler is marked "optimized". Both processes share what they compile, and
+# it is kept in .jax for the next time
+test: export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.jax
+test: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS ?= 0.2
 test: $(STAMP)
 	@XLA_FLAGS="$$($(BIN)/python tests/quick.py)" $(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized"
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup -m optimized

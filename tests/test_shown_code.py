@@ -15,7 +15,7 @@ import pytest
 
 import motes as mo
 from test_documents import ROOT
-from tiers import NIGHT
+from tiers import NIGHT, each
 
 PAGES = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
          if "```python" in path.read_text()]  # fmt: skip
@@ -80,9 +80,11 @@ def methods():
 
 
 METHODS = methods()
+LONG = {"ParticleGibbs", "RaoBlackwellizedParticleGibbs", "PseudoMarginal", "AdaptiveSize", "NUTS", "HMC", "GaussianFilter"}
+"""Those whose example takes long, or is that of others once more: by night."""
 
 
-@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.__name__)
+@pytest.mark.parametrize("method", each({one.__name__: one for one in METHODS}, LONG))
 def test_example_of_a_method_runs(method):
     found = doctest.DocTestParser().get_doctest(inspect.getdoc(method), {"mo": mo, "jax": jax, "jnp": jnp}, method.__name__, None, 0)
     assert 0 < len(found.examples) <= 5 and method.__name__ in found.docstring.partition("Example:")[2]

@@ -8,6 +8,11 @@ NIGHT = bool(os.environ.get("MOTES_NIGHTLY"))
 """Whether this is a run of `make night`."""
 
 
+def but_one_in(values, step):
+    """Names of all values but every so-many-th one: what is asked of many alike is asked of the others by night."""
+    return {str(value) for place, value in enumerate(values) if place % step}
+
+
 def each(values, night=()):
     """Parameters for `parametrize`: values, or those of a dictionary with its keys as ids.
 

@@ -78,7 +78,7 @@ def first_of_kinds(filters, kind=kind_of):
 
 
 SHARED = {"EnsembleKalmanFilter", "GaussianFilter", "GaussianParticleFilter", "GaussianSumParticleFilter", "CostReferenceParticleFilter",
-          "InteractingMultipleModel", "JumpMarkovFilter", "AuxiliaryParticleFilter", "PaRIS"}  # fmt: skip
+          "InteractingMultipleModel", "JumpMarkovFilter", "AuxiliaryParticleFilter", "PaRIS", "Adapting", "AdaptiveSize"}  # fmt: skip
 
 
 def is_variant(name):

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from discovery import example, examples, is_variant
+from discovery import example, examples, shares_stages
 
 import motes as mo
 from motes.testing.models import linear
@@ -72,7 +72,7 @@ def test_filters_that_weigh_by_a_density_are_among_them():
 
 
 @pytest.mark.parametrize("form", OTHERS)
-@pytest.mark.parametrize("name", each(list(TAKING), night=is_variant))
+@pytest.mark.parametrize("name", each(list(TAKING), night=shares_stages))
 def test_every_filter_finds_what_it_finds_of_vectors(name, form):
     found, wanted = (mo.run(3, TAKING[name], model(one), rows(one)) for one in (form, "vector"))
     np.testing.assert_allclose(found.mean, wanted.mean, rtol=1e-3, atol=1e-3)

@@ -109,7 +109,8 @@ def test_the_heading_crosses_the_cut():
 
 
 BY_NIGHT = {name for name in examples() if ", " in name and name not in WITHOUT_ANGLES_IN_THE_WAY} | {
-    "AuxiliaryParticleFilter", "CubatureKalmanFilter", "GaussHermiteFilter", "SkeletonFilter", "RegularizedParticleFilter"}  # fmt: skip
+    "AuxiliaryParticleFilter", "CubatureKalmanFilter", "GaussHermiteFilter", "SkeletonFilter", "RegularizedParticleFilter", "Adapting",
+    "AdaptiveSize"}  # fmt: skip
 """Variants of others, with respect to what they average."""
 
 

@@ -82,6 +82,7 @@ def test_adaptation_finds_both_modes():
     assert sorted(np.round(np.asarray(found.proposal.mixture.parts.center)[0])) == [-6.0, 8.0]
 
 
+@pytest.mark.night
 def test_density_of_the_adapted_law():
     law = StudentMixture(mo.Mixture.of(jnp.array([0.3, 0.7]), jnp.array([[0.0, 2.0], [1.0, -1.0]]), jnp.stack(
         [jnp.array([[1.0, 0.5], [0.5, 2.0]]), jnp.array([[0.4, 0.0], [0.0, 0.2]])], axis=-1)))  # fmt: skip

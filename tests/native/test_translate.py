@@ -9,12 +9,13 @@ from native_tools import by_jax, natively, needs_compiler
 
 from motes.core import random
 from motes.native.rules import Untranslatable
+from tiers import but_one_in, each
 
 X = np.random.default_rng(1).normal(size=(3, 777)).astype(np.float32)
 A = np.random.default_rng(2).normal(size=(3, 3)).astype(np.float32)
 
 
-def each(function):
+def particlewise(function):
     """A function of one state, over the cloud."""
     return lambda X: [jax.vmap(function, in_axes=-1, out_axes=-1)(X)]
 
@@ -52,40 +53,40 @@ SMOOTH = (jnp.exp, jnp.expm1, jnp.log1p, jnp.sin, jnp.cos, jnp.tan, jnp.arcsin, 
 """What JAX makes of their derivatives changes from version to version."""
 
 PROGRAMS = {
-    "growth": each(lambda x: x / 2 + 25 * x / (1 + x**2) + 8 * jnp.cos(1.2 * 3)),
-    "matrix": each(lambda x: A @ x),
-    "turned": each(turned),
-    "where": each(lambda x: jnp.where(x[0] > 0, x * x[1], -x)),
-    "cond": each(lambda x: jax.lax.cond(x[0] > 0, lambda x: x + 1, lambda x: x * 2, x)),
-    "switch": each(lambda x: jax.lax.switch(jnp.int32(jnp.floor(x[0])), [lambda x: x, lambda x: x * 2, lambda x: x * 3], x)),
-    "reduce": each(lambda x: x - jnp.max(x) + jnp.sum(x) * jnp.prod(x) - jnp.min(x) + jnp.any(x > 1)),
-    "norm": each(lambda x: x / jnp.linalg.norm(x)),
-    "outer": each(lambda x: (jnp.outer(x, x) @ x)[::-1]),
-    "einsum": each(lambda x: jnp.einsum("ij,j,k->i", A, x, x)),
-    "concatenated": each(lambda x: jnp.concatenate([x[1:], jnp.atleast_1d(jnp.arctan2(x[0], x[1]))])),
-    "stacked": each(lambda x: jnp.stack([x[2], x[0], 0.0 * x[1] + 4])),
-    "wrapped": each(lambda x: jnp.mod(x + jnp.pi, 2 * jnp.pi) - jnp.pi),
-    "clipped": each(lambda x: jnp.clip(x, -0.5, 0.25) + jnp.sign(x) * jnp.abs(x) ** 1.5),
-    "powers": each(lambda x: x**3 + (1 + x**2) ** -2 + jnp.square(x) + jnp.power(jnp.abs(x), 0.3)),
-    "logical": each(lambda x: jnp.where((x > 0) & ~(x > 1) | (x < -1), x, 0.0)),
-    "picked": each(lambda x: x[jnp.array([2, 0, 0])] + jax.lax.dynamic_slice(x, (1,), (1,))),
-    "custom derivative": each(lambda x: squared(x)),
-    "jitted inside": each(jax.jit(lambda x: jnp.sort(A, axis=0) @ jnp.sin(x))),
-    "gradient inside": each(lambda x: jax.grad(lambda z: jnp.sum(jnp.sin(z) ** 2 * z[0]))(x)),
-    "gradients of functions": each(lambda x: jax.grad(lambda z: sum(jnp.sum(function(0.3 * jnp.sin(z))) for function in SMOOTH))(x)),
-    "distances": each(lambda x: jax.grad(lambda z: jnp.hypot(z[0], z[1]) + jnp.arctan2(z[1], z[2]) + jnp.logaddexp(z[0], z[2]))(x)),
-    "error functions": each(lambda x: jax.scipy.special.erfc(x) + jax.scipy.special.ndtr(x) + jnp.log2(1 + x**2)),
-    "bits": each(lambda x: jax.lax.bitcast_convert_type(jax.lax.bitcast_convert_type(x, jnp.int32) & -4096, jnp.float32)),
-    "softplus": each(lambda x: jax.nn.softplus(x) + jax.nn.relu(x) + jax.nn.sigmoid(x)),
-    "nan": each(lambda x: jnp.where(x > 0, jnp.log(x), jnp.nan)),
+    "growth": particlewise(lambda x: x / 2 + 25 * x / (1 + x**2) + 8 * jnp.cos(1.2 * 3)),
+    "matrix": particlewise(lambda x: A @ x),
+    "turned": particlewise(turned),
+    "where": particlewise(lambda x: jnp.where(x[0] > 0, x * x[1], -x)),
+    "cond": particlewise(lambda x: jax.lax.cond(x[0] > 0, lambda x: x + 1, lambda x: x * 2, x)),
+    "switch": particlewise(lambda x: jax.lax.switch(jnp.int32(jnp.floor(x[0])), [lambda x: x, lambda x: x * 2, lambda x: x * 3], x)),
+    "reduce": particlewise(lambda x: x - jnp.max(x) + jnp.sum(x) * jnp.prod(x) - jnp.min(x) + jnp.any(x > 1)),
+    "norm": particlewise(lambda x: x / jnp.linalg.norm(x)),
+    "outer": particlewise(lambda x: (jnp.outer(x, x) @ x)[::-1]),
+    "einsum": particlewise(lambda x: jnp.einsum("ij,j,k->i", A, x, x)),
+    "concatenated": particlewise(lambda x: jnp.concatenate([x[1:], jnp.atleast_1d(jnp.arctan2(x[0], x[1]))])),
+    "stacked": particlewise(lambda x: jnp.stack([x[2], x[0], 0.0 * x[1] + 4])),
+    "wrapped": particlewise(lambda x: jnp.mod(x + jnp.pi, 2 * jnp.pi) - jnp.pi),
+    "clipped": particlewise(lambda x: jnp.clip(x, -0.5, 0.25) + jnp.sign(x) * jnp.abs(x) ** 1.5),
+    "powers": particlewise(lambda x: x**3 + (1 + x**2) ** -2 + jnp.square(x) + jnp.power(jnp.abs(x), 0.3)),
+    "logical": particlewise(lambda x: jnp.where((x > 0) & ~(x > 1) | (x < -1), x, 0.0)),
+    "picked": particlewise(lambda x: x[jnp.array([2, 0, 0])] + jax.lax.dynamic_slice(x, (1,), (1,))),
+    "custom derivative": particlewise(lambda x: squared(x)),
+    "jitted inside": particlewise(jax.jit(lambda x: jnp.sort(A, axis=0) @ jnp.sin(x))),
+    "gradient inside": particlewise(lambda x: jax.grad(lambda z: jnp.sum(jnp.sin(z) ** 2 * z[0]))(x)),
+    "gradients of functions": particlewise(lambda x: jax.grad(lambda z: sum(jnp.sum(function(0.3 * jnp.sin(z))) for function in SMOOTH))(x)),
+    "distances": particlewise(lambda x: jax.grad(lambda z: jnp.hypot(z[0], z[1]) + jnp.arctan2(z[1], z[2]) + jnp.logaddexp(z[0], z[2]))(x)),
+    "error functions": particlewise(lambda x: jax.scipy.special.erfc(x) + jax.scipy.special.ndtr(x) + jnp.log2(1 + x**2)),
+    "bits": particlewise(lambda x: jax.lax.bitcast_convert_type(jax.lax.bitcast_convert_type(x, jnp.int32) & -4096, jnp.float32)),
+    "softplus": particlewise(lambda x: jax.nn.softplus(x) + jax.nn.relu(x) + jax.nn.sigmoid(x)),
+    "nan": particlewise(lambda x: jnp.where(x > 0, jnp.log(x), jnp.nan)),
     "whole cloud": lambda X: [jnp.roll(X, 1, axis=0) * jnp.float32(2) + jnp.zeros((3, 1))],
     "whole cloud, rule for many": lambda X: [doubled(X) * doubled(jnp.float32(0.25)) + jax.checkpoint(jnp.sin)(X)],
-    "two steps": each(lambda x: jax.lax.fori_loop(0, 1, lambda i, z: z + 1, x) if False else jnp.flip(x) + jnp.cumsum(jnp.ones(3))),
+    "two steps": particlewise(lambda x: jax.lax.fori_loop(0, 1, lambda i, z: z + 1, x) if False else jnp.flip(x) + jnp.cumsum(jnp.ones(3))),
 }
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", PROGRAMS)
+@pytest.mark.parametrize("name", each(list(PROGRAMS), but_one_in(PROGRAMS, 2)))
 def test_same_numbers_as_jax(name):
     ours, wanted = natively(PROGRAMS[name], X)[0], by_jax(PROGRAMS[name], X)[0]
     assert ours.shape == wanted.shape and np.array_equal(np.isnan(ours), np.isnan(wanted))
@@ -150,10 +151,10 @@ def test_programs_in_which_particles_meet_are_refused(name):
 
 
 @pytest.mark.parametrize("program", [
-    each(lambda x: jax.lax.while_loop(lambda z: z[0] < 3, lambda z: z + 1, x)),
-    each(lambda x: jnp.linalg.solve(jnp.eye(3) + jnp.outer(x, x), x)),
-    each(lambda x: x + jax.pure_callback(lambda z: np.asarray(z), jax.ShapeDtypeStruct((3,), jnp.float32), x, vmap_method="expand_dims")),
-    each(lambda x: x + x[jnp.int32(x[0])]),
+    particlewise(lambda x: jax.lax.while_loop(lambda z: z[0] < 3, lambda z: z + 1, x)),
+    particlewise(lambda x: jnp.linalg.solve(jnp.eye(3) + jnp.outer(x, x), x)),
+    particlewise(lambda x: x + jax.pure_callback(lambda z: np.asarray(z), jax.ShapeDtypeStruct((3,), jnp.float32), x, vmap_method="expand_dims")),
+    particlewise(lambda x: x + x[jnp.int32(x[0])]),
 ])  # fmt: skip
 def test_unknown_operations_are_refused(program):
     with pytest.raises(Untranslatable):

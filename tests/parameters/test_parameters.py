@@ -227,6 +227,7 @@ def test_marginalized_paths_mix_better():
     assert mcmc.bulk_ess(other[..., 13, 2]) > 3 * mcmc.bulk_ess(plain[..., 13, 2])
 
 
+@pytest.mark.night
 def test_smc_squared(exact):
     runs = [parameters.smc_squared(seed, BY_PARTICLES, 400) for seed in range(3)]
     mean, cov, evidence = exact
