@@ -15,7 +15,7 @@ X = np.random.default_rng(1).normal(size=(3, 777)).astype(np.float32)
 A = np.random.default_rng(2).normal(size=(3, 3)).astype(np.float32)
 
 
-def particlewise(function):
+def over(function):
     """A function of one state, over the cloud."""
     return lambda X: [jax.vmap(function, in_axes=-1, out_axes=-1)(X)]
 
@@ -53,35 +53,35 @@ SMOOTH = (jnp.exp, jnp.expm1, jnp.log1p, jnp.sin, jnp.cos, jnp.tan, jnp.arcsin, 
 """What JAX makes of their derivatives changes from version to version."""
 
 PROGRAMS = {
-    "growth": particlewise(lambda x: x / 2 + 25 * x / (1 + x**2) + 8 * jnp.cos(1.2 * 3)),
-    "matrix": particlewise(lambda x: A @ x),
-    "turned": particlewise(turned),
-    "where": particlewise(lambda x: jnp.where(x[0] > 0, x * x[1], -x)),
-    "cond": particlewise(lambda x: jax.lax.cond(x[0] > 0, lambda x: x + 1, lambda x: x * 2, x)),
-    "switch": particlewise(lambda x: jax.lax.switch(jnp.int32(jnp.floor(x[0])), [lambda x: x, lambda x: x * 2, lambda x: x * 3], x)),
-    "reduce": particlewise(lambda x: x - jnp.max(x) + jnp.sum(x) * jnp.prod(x) - jnp.min(x) + jnp.any(x > 1)),
-    "norm": particlewise(lambda x: x / jnp.linalg.norm(x)),
-    "outer": particlewise(lambda x: (jnp.outer(x, x) @ x)[::-1]),
-    "einsum": particlewise(lambda x: jnp.einsum("ij,j,k->i", A, x, x)),
-    "concatenated": particlewise(lambda x: jnp.concatenate([x[1:], jnp.atleast_1d(jnp.arctan2(x[0], x[1]))])),
-    "stacked": particlewise(lambda x: jnp.stack([x[2], x[0], 0.0 * x[1] + 4])),
-    "wrapped": particlewise(lambda x: jnp.mod(x + jnp.pi, 2 * jnp.pi) - jnp.pi),
-    "clipped": particlewise(lambda x: jnp.clip(x, -0.5, 0.25) + jnp.sign(x) * jnp.abs(x) ** 1.5),
-    "powers": particlewise(lambda x: x**3 + (1 + x**2) ** -2 + jnp.square(x) + jnp.power(jnp.abs(x), 0.3)),
-    "logical": particlewise(lambda x: jnp.where((x > 0) & ~(x > 1) | (x < -1), x, 0.0)),
-    "picked": particlewise(lambda x: x[jnp.array([2, 0, 0])] + jax.lax.dynamic_slice(x, (1,), (1,))),
-    "custom derivative": particlewise(lambda x: squared(x)),
-    "jitted inside": particlewise(jax.jit(lambda x: jnp.sort(A, axis=0) @ jnp.sin(x))),
-    "gradient inside": particlewise(lambda x: jax.grad(lambda z: jnp.sum(jnp.sin(z) ** 2 * z[0]))(x)),
-    "gradients of functions": particlewise(lambda x: jax.grad(lambda z: sum(jnp.sum(function(0.3 * jnp.sin(z))) for function in SMOOTH))(x)),
-    "distances": particlewise(lambda x: jax.grad(lambda z: jnp.hypot(z[0], z[1]) + jnp.arctan2(z[1], z[2]) + jnp.logaddexp(z[0], z[2]))(x)),
-    "error functions": particlewise(lambda x: jax.scipy.special.erfc(x) + jax.scipy.special.ndtr(x) + jnp.log2(1 + x**2)),
-    "bits": particlewise(lambda x: jax.lax.bitcast_convert_type(jax.lax.bitcast_convert_type(x, jnp.int32) & -4096, jnp.float32)),
-    "softplus": particlewise(lambda x: jax.nn.softplus(x) + jax.nn.relu(x) + jax.nn.sigmoid(x)),
-    "nan": particlewise(lambda x: jnp.where(x > 0, jnp.log(x), jnp.nan)),
+    "growth": over(lambda x: x / 2 + 25 * x / (1 + x**2) + 8 * jnp.cos(1.2 * 3)),
+    "matrix": over(lambda x: A @ x),
+    "turned": over(turned),
+    "where": over(lambda x: jnp.where(x[0] > 0, x * x[1], -x)),
+    "cond": over(lambda x: jax.lax.cond(x[0] > 0, lambda x: x + 1, lambda x: x * 2, x)),
+    "switch": over(lambda x: jax.lax.switch(jnp.int32(jnp.floor(x[0])), [lambda x: x, lambda x: x * 2, lambda x: x * 3], x)),
+    "reduce": over(lambda x: x - jnp.max(x) + jnp.sum(x) * jnp.prod(x) - jnp.min(x) + jnp.any(x > 1)),
+    "norm": over(lambda x: x / jnp.linalg.norm(x)),
+    "outer": over(lambda x: (jnp.outer(x, x) @ x)[::-1]),
+    "einsum": over(lambda x: jnp.einsum("ij,j,k->i", A, x, x)),
+    "concatenated": over(lambda x: jnp.concatenate([x[1:], jnp.atleast_1d(jnp.arctan2(x[0], x[1]))])),
+    "stacked": over(lambda x: jnp.stack([x[2], x[0], 0.0 * x[1] + 4])),
+    "wrapped": over(lambda x: jnp.mod(x + jnp.pi, 2 * jnp.pi) - jnp.pi),
+    "clipped": over(lambda x: jnp.clip(x, -0.5, 0.25) + jnp.sign(x) * jnp.abs(x) ** 1.5),
+    "powers": over(lambda x: x**3 + (1 + x**2) ** -2 + jnp.square(x) + jnp.power(jnp.abs(x), 0.3)),
+    "logical": over(lambda x: jnp.where((x > 0) & ~(x > 1) | (x < -1), x, 0.0)),
+    "picked": over(lambda x: x[jnp.array([2, 0, 0])] + jax.lax.dynamic_slice(x, (1,), (1,))),
+    "custom derivative": over(lambda x: squared(x)),
+    "jitted inside": over(jax.jit(lambda x: jnp.sort(A, axis=0) @ jnp.sin(x))),
+    "gradient inside": over(lambda x: jax.grad(lambda z: jnp.sum(jnp.sin(z) ** 2 * z[0]))(x)),
+    "gradients of functions": over(lambda x: jax.grad(lambda z: sum(jnp.sum(function(0.3 * jnp.sin(z))) for function in SMOOTH))(x)),
+    "distances": over(lambda x: jax.grad(lambda z: jnp.hypot(z[0], z[1]) + jnp.arctan2(z[1], z[2]) + jnp.logaddexp(z[0], z[2]))(x)),
+    "error functions": over(lambda x: jax.scipy.special.erfc(x) + jax.scipy.special.ndtr(x) + jnp.log2(1 + x**2)),
+    "bits": over(lambda x: jax.lax.bitcast_convert_type(jax.lax.bitcast_convert_type(x, jnp.int32) & -4096, jnp.float32)),
+    "softplus": over(lambda x: jax.nn.softplus(x) + jax.nn.relu(x) + jax.nn.sigmoid(x)),
+    "nan": over(lambda x: jnp.where(x > 0, jnp.log(x), jnp.nan)),
     "whole cloud": lambda X: [jnp.roll(X, 1, axis=0) * jnp.float32(2) + jnp.zeros((3, 1))],
     "whole cloud, rule for many": lambda X: [doubled(X) * doubled(jnp.float32(0.25)) + jax.checkpoint(jnp.sin)(X)],
-    "two steps": particlewise(lambda x: jax.lax.fori_loop(0, 1, lambda i, z: z + 1, x) if False else jnp.flip(x) + jnp.cumsum(jnp.ones(3))),
+    "two steps": over(lambda x: jax.lax.fori_loop(0, 1, lambda i, z: z + 1, x) if False else jnp.flip(x) + jnp.cumsum(jnp.ones(3))),
 }
 
 
@@ -151,10 +151,10 @@ def test_programs_in_which_particles_meet_are_refused(name):
 
 
 @pytest.mark.parametrize("program", [
-    particlewise(lambda x: jax.lax.while_loop(lambda z: z[0] < 3, lambda z: z + 1, x)),
-    particlewise(lambda x: jnp.linalg.solve(jnp.eye(3) + jnp.outer(x, x), x)),
-    particlewise(lambda x: x + jax.pure_callback(lambda z: np.asarray(z), jax.ShapeDtypeStruct((3,), jnp.float32), x, vmap_method="expand_dims")),
-    particlewise(lambda x: x + x[jnp.int32(x[0])]),
+    over(lambda x: jax.lax.while_loop(lambda z: z[0] < 3, lambda z: z + 1, x)),
+    over(lambda x: jnp.linalg.solve(jnp.eye(3) + jnp.outer(x, x), x)),
+    over(lambda x: x + jax.pure_callback(lambda z: np.asarray(z), jax.ShapeDtypeStruct((3,), jnp.float32), x, vmap_method="expand_dims")),
+    over(lambda x: x + x[jnp.int32(x[0])]),
 ])  # fmt: skip
 def test_unknown_operations_are_refused(program):
     with pytest.raises(Untranslatable):
