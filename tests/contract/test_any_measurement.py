@@ -103,7 +103,8 @@ def test_nothing_measured_is_a_prediction(form):
 
 @pytest.mark.optimized
 @pytest.mark.parametrize("form", OTHERS)
-@pytest.mark.parametrize("filter", [FILTER, mo.AuxiliaryParticleFilter(n=300)], ids=lambda filter: type(filter).__name__)
+@pytest.mark.parametrize("filter", [FILTER, pytest.param(mo.AuxiliaryParticleFilter(n=300), marks=pytest.mark.night)],
+                         ids=lambda filter: type(filter).__name__)  # fmt: skip
 def test_streams_and_pieces_give_the_same_bits(form, filter, tmp_path):
     given, listed = model(form), steps_of(form)
     whole = mo.run(3, filter, given, listed)

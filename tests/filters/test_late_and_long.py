@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import motes as mo
+from tiers import each
 
 STEPS, LAG = 30, 5
 MODEL = mo.textbook.constant_velocity()
@@ -36,7 +37,7 @@ def delayed(stream, ys=YS):
 
 
 @pytest.mark.optimized
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", each(list(FILTERS), {"auxiliary", "marginalized"}))
 def test_late_measurements_equal_those_in_order_to_the_bit(name):
     stream = mo.stream(3, FILTERS[name], MODEL, lag=LAG)
     delayed(stream)

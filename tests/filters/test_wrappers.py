@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import motes as mo
+from tiers import each
 
 STEPS, JUMP = 120, 60
 WALK = mo.StateSpaceModel(
@@ -73,7 +74,7 @@ BOTH = {"recovering around adapting": lambda: mo.Recovering(biased(INNER)[1], ne
 
 
 @pytest.mark.optimized
-@pytest.mark.parametrize("order", BOTH)
+@pytest.mark.parametrize("order", each(list(BOTH), {"adapting around recovering"}))
 def test_wrappers_compose_and_go_on(order, tmp_path):
     """Cut and continued to the bit; a stream up to rounding, since what a model reads of the memory is fused otherwise."""
     model, filter = biased(INNER)[0], BOTH[order]()
@@ -134,11 +135,16 @@ def test_the_number_of_particles_follows_the_spread_of_the_law():
     assert abs(float(history.log_likelihood) - float(exact.log_likelihood)) < 1.5
 
 
-@pytest.mark.optimized
-@pytest.mark.parametrize("filter", [SIZED, mo.AdaptiveSize(mo.Recovering(INNER, near), SIZES[:2], widths=(0.5, 0.5)),
-                                    mo.Recovering(mo.AdaptiveSize(INNER, SIZES[:2], widths=(0.5, 0.5)), near)],
-                         ids=["alone", "around recovering", "within recovering"])  # fmt: skip
-def test_sizes_change_in_a_stream_as_in_a_run(filter):
+AROUND = {
+    "alone": SIZED,
+    "around recovering": mo.AdaptiveSize(mo.Recovering(INNER, near), SIZES[:2], widths=(0.5, 0.5)),
+    "within recovering": mo.Recovering(mo.AdaptiveSize(INNER, SIZES[:2], widths=(0.5, 0.5)), near),
+}
+
+
+@pytest.mark.parametrize("name", each(list(AROUND), {"alone", "around recovering"}))
+def test_sizes_change_in_a_stream_as_in_a_run(name):
+    filter = AROUND[name]
     ys = YS[JUMP - 10 : JUMP + 10].copy() - YS[JUMP - 10]
     ys[5] = np.nan
     whole = mo.run(3, filter, WIDE, ys)

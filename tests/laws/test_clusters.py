@@ -54,6 +54,7 @@ def test_a_gaussian_has_one():
     assert found.weight.tolist() == [1, 0, 0] and found.mean[0].tolist() == [1, 1]
 
 
+@pytest.mark.night
 def test_filters_keep_them():
     model = mo.textbook.growth()
     _, ys = mo.simulate(0, model, 20)

@@ -127,16 +127,22 @@ def _moved(mass, axis, centre_n, centre_l, p, normal2):
     return np.concatenate([np.asarray(rows(value)) for value in axis])
 
 
-@pytest.fixture(scope="module")
-def answers():
-    with jax.enable_x64(True):
-        found = {}
-        for name, parts in cases().items():
+class Answers(dict):
+    """Model, measurements and the grid's answer of each case, worked out when it is asked for."""
+
+    def __missing__(self, name):
+        with jax.enable_x64(True):
+            parts = cases()[name]
             model = library_model(parts)
             ys = np.array(mo.simulate(32, model, STEPS)[1])
             ys[3] = np.nan
-            found[name] = (model, ys, grid_answer(parts, ys))
-        return found
+            self[name] = (model, ys, grid_answer(parts, ys))
+        return self[name]
+
+
+@pytest.fixture(scope="module")
+def answers():
+    return Answers()
 
 
 @pytest.mark.parametrize("name", each(list(cases()), {"C zero", "C constant"}))

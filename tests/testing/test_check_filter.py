@@ -29,6 +29,7 @@ def test_each_rule_sees_a_filter_that_breaks_it(rule):
 
 
 @pytest.mark.optimized
+@pytest.mark.night
 def test_a_filter_of_ones_own_is_asked_everything_that_applies():
     verdict = mo.testing.check_filter(TextbookFilter())
     verdict.raise_on_failure()
