@@ -11,8 +11,8 @@ import jax
 import numpy as np
 
 import motes as mo
-from motes.applications.range_only import scenario as robot
-from motes.applications.terrain_navigation import scenario as terrain
+from motes.applications.robot import scenario as robot
+from motes.applications.terrain import scenario as terrain
 
 
 def fly(seeds, n=15_000):
@@ -30,7 +30,7 @@ def fly(seeds, n=15_000):
 def drive(path, seeds, n=1_000):
     """RMS position error and scale of the range-only robot, both odometries."""
     for odometry in ("recorded", "drifting"):
-        job = robot.load(path, odometry)
+        job = robot.loaded(path, odometry)
         filter = mo.MarginalizedParticleFilter(n=n, linear=("scale", "offset"), on_collapse="predict")
         scores, started = [], time.perf_counter()
         for seed in range(seeds):

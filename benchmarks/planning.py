@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import motes as mo
-from motes.applications.terrain_navigation import scenario
+from motes.applications.terrain import scenario
 from motes.models.textbook import growth, radar_tracking
 
 BUDGET = 2e-4

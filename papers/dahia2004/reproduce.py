@@ -16,14 +16,14 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import numpy as np
 
 import motes as mo
-from motes.applications.terrain_navigation import scenario
-from motes.applications.terrain_navigation.comparison import Comparison, Rival, compare, usual_rivals
-from motes.applications.terrain_navigation.roughness import roughness
-from motes.applications.terrain_navigation.settings import FIRST, Inertial, Noises, Route
+from motes.applications.terrain import scenario
+from motes.applications.terrain.comparison import Comparison, Rival, compare, usual_rivals
+from motes.applications.terrain.pictures import comparison_figure
+from motes.applications.terrain.roughness import roughness
+from motes.applications.terrain.settings import FIRST, Inertial, Noises, Route
 from motes.io.archive import provenance
 from motes.io.rasters import mosaic, read_raster
 from motes.models.terrain import TerrainMap, terrain_map
-from motes.plotting.terrain import comparison_figure
 
 PARTS = ("nine", "fifteen", "equal", "maps", "flat")
 SEED = 1000

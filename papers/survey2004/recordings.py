@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import motes as mo
-from motes.applications.aircraft_tracking import scenario
-from motes.applications.aircraft_tracking.model import Flight, Radar, constant_velocity, jumping
+from motes.applications.aircraft import scenario
+from motes.applications.aircraft.model import Flight, Radar, constant_velocity, jumping
 from motes.io.tables import read_table
 
 FLIGHT, RIVER = "aircraft/adsb/belevingsvlucht.csv", "timeseries/nile.csv"

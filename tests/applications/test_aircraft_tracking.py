@@ -10,8 +10,8 @@ import pytest
 
 import motes as mo
 from data import recorded, refused
-from motes.applications.aircraft_tracking import scenario
-from motes.applications.aircraft_tracking.model import Flight, Radar, constant_velocity, jumping, turned, white_acceleration
+from motes.applications.aircraft import scenario
+from motes.applications.aircraft.model import Flight, Radar, constant_velocity, jumping, turned, white_acceleration
 
 pytestmark = pytest.mark.jax
 

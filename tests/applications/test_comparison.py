@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import motes as mo
-from motes.applications.terrain_navigation import comparison, scenario
-from motes.applications.terrain_navigation.settings import Noises, Route
+from motes.applications.terrain import comparison, scenario
+from motes.applications.terrain.settings import Noises, Route
 
 
 def row(errors, nees, bound=25.0):

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 import motes as mo
 from data import refused
-from motes.applications.terrain_navigation import scenario
-from motes.applications.terrain_navigation.cruise import Cruise, cruise_of, dynamics
-from motes.applications.terrain_navigation.model import Track, corrected, error_model, unaided
-from motes.applications.terrain_navigation.settings import Inertial, Noises, Prior, Route
+from motes.applications.terrain import scenario
+from motes.applications.terrain.cruise import Cruise, cruise_of, dynamics
+from motes.applications.terrain.model import Track, corrected, error_model, unaided
+from motes.applications.terrain.settings import Inertial, Noises, Prior, Route
 from motes.models import inertial, mechanization
 from motes.models.terrain import TerrainMap
 

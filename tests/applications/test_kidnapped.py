@@ -7,8 +7,8 @@ import pytest
 
 import motes as mo
 from data import recorded
-from motes.applications.range_only import scenario as job
-from motes.applications.range_only.world import simulated
+from motes.applications.robot import scenario as job
+from motes.applications.robot.world import simulated
 from motes.io.recordings import read_plaza
 from tiers import NIGHT
 

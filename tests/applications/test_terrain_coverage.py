@@ -9,11 +9,11 @@ import pytest
 
 import motes as mo
 from data import recorded
-from motes.applications.terrain_navigation import scenario
-from motes.applications.terrain_navigation.coverage import without_far_voids
-from motes.applications.terrain_navigation.model import Track, error_model
-from motes.applications.terrain_navigation.roughness import roughness
-from motes.applications.terrain_navigation.settings import FIRST, MapFiles, Noises, Prior, Recording
+from motes.applications.terrain import scenario
+from motes.applications.terrain.coverage import without_far_voids
+from motes.applications.terrain.model import Track, error_model
+from motes.applications.terrain.roughness import roughness
+from motes.applications.terrain.settings import FIRST, MapFiles, Noises, Prior, Recording
 from motes.io.rasters import jacksboro, mosaic, read_raster
 from motes.models.terrain import TerrainMap, terrain_map
 
@@ -78,11 +78,11 @@ def test_recorded_flight_that_leaves_the_map(tmp_path, terrain, leaving):
     columns = np.stack([leaving.seconds, inputs.north, inputs.east, inputs.altitude, height], axis=1)
     np.savetxt(tmp_path / "flight.csv", columns, delimiter=",", header="time,ins_north,ins_east,ins_altitude,height", comments="")
     files = MapFiles(files=(str(scenario.jacksboro_file()),), outside="missing")
-    loaded = scenario.load(files, Recording(file=str(tmp_path / "flight.csv")))
+    loaded = scenario.loaded(files, Recording(file=str(tmp_path / "flight.csv")))
     np.testing.assert_array_equal(np.isnan(loaded.ys), np.isnan(leaving.ys))
     assert callable(loaded.model.sensor.Q)
     with pytest.raises(mo.MotesError, match="covers the inertial track in flight.csv"):
-        scenario.load(replace(files, outside="refuse"), Recording(file=str(tmp_path / "flight.csv")))
+        scenario.loaded(replace(files, outside="refuse"), Recording(file=str(tmp_path / "flight.csv")))
 
 
 # roughness -----------------------------------------------------------------------------------------------------------

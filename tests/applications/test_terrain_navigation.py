@@ -10,9 +10,9 @@ import pytest
 
 import motes as mo
 from data import refused
-from motes.applications.terrain_navigation import scenario
-from motes.applications.terrain_navigation.model import HeightAboveTerrain, Track, altimeter, error_model, process_cov, transition
-from motes.applications.terrain_navigation.settings import FIRST, MapFiles, Noises, Prior, Recording
+from motes.applications.terrain import scenario
+from motes.applications.terrain.model import HeightAboveTerrain, Track, altimeter, error_model, process_cov, transition
+from motes.applications.terrain.settings import FIRST, MapFiles, Noises, Prior, Recording
 from motes.io.rasters import jacksboro
 from motes.models.terrain import TerrainMap, terrain_map
 
@@ -181,7 +181,7 @@ def files():
 
 
 def test_loaded_flight_equals_the_simulated_one(tmp_path, flight):
-    loaded = scenario.load(files(), write(tmp_path, flight))
+    loaded = scenario.loaded(files(), write(tmp_path, flight))
     np.testing.assert_allclose(loaded.ys, flight.ys[:40], rtol=1e-6)
     np.testing.assert_allclose(loaded.model.dynamics.A, flight.model.dynamics.A, rtol=1e-5)
     one = mo.run(0, mo.MarginalizedParticleFilter(n=50), loaded.model, loaded.ys, loaded.inputs)
@@ -193,7 +193,7 @@ def test_geographic_columns_and_uneven_times(tmp_path, flight, terrain):
     north, east = terrain.to_geographic(flight.inputs.north[:40], flight.inputs.east[:40])
     times = np.arange(40) * 0.3 + np.where(np.arange(40) > 20, 3.0, 0.0)
     recording = write(tmp_path, flight, times, ins_north=north, ins_east=east)
-    loaded = scenario.load(files(), replace(recording, coordinates="map", truth=()))
+    loaded = scenario.loaded(files(), replace(recording, coordinates="map", truth=()))
     np.testing.assert_allclose(loaded.inputs.north, flight.inputs.north[:40], atol=0.01)
     assert float(loaded.inputs.since[21]) == pytest.approx(3.3, rel=1e-5) and loaded.truth is None
     history = mo.run(0, mo.MarginalizedParticleFilter(n=50), loaded.model, loaded.ys, loaded.inputs)
@@ -209,26 +209,26 @@ def test_bad_recordings_are_refused(tmp_path, flight):
     degrees = {"ins_north": latitude, "ins_east": longitude}
     cases = [
         (("map", "latitude and longitude look swapped".capitalize(), "exchange 'ins_north' and 'ins_east'", "row 1"),
-         lambda: scenario.load(files(), replace(write(tmp_path, flight, **swapped), coordinates="map"))),
-        (("map", "map's own coordinates", 'set coordinates = "map"'), lambda: scenario.load(files(), write(tmp_path, flight, **degrees))),
+         lambda: scenario.loaded(files(), replace(write(tmp_path, flight, **swapped), coordinates="map"))),
+        (("map", "map's own coordinates", 'set coordinates = "map"'), lambda: scenario.loaded(files(), write(tmp_path, flight, **degrees))),
         (("map", "meters from its south-west", 'set coordinates = "local"'),
-         lambda: scenario.load(files(), replace(write(tmp_path, flight), coordinates="map"))),
+         lambda: scenario.loaded(files(), replace(write(tmp_path, flight), coordinates="map"))),
         (("map", "coordinates are degrees", "join more"),
-         lambda: scenario.load(files(), replace(write(tmp_path, flight, ins_north=np.full(40, 4e6), ins_east=np.full(40, 7e5)),
+         lambda: scenario.loaded(files(), replace(write(tmp_path, flight, ins_north=np.full(40, 4e6), ins_east=np.full(40, 7e5)),
                                                 coordinates="map"))),
-        (("map outside", "'missing'", "'ignore'"), lambda: scenario.load(replace(files(), outside="ignore"), write(tmp_path, flight))),
-        (("map", "covers", "row 1"), lambda: scenario.load(replace(files(), outside="missing"),
+        (("map outside", "'missing'", "'ignore'"), lambda: scenario.loaded(replace(files(), outside="ignore"), write(tmp_path, flight))),
+        (("map", "covers", "row 1"), lambda: scenario.loaded(replace(files(), outside="missing"),
                                                            write(tmp_path, flight, ins_east=np.full(40, 9e4)))),
-        (("map", "covers", "row 1"), lambda: scenario.load(files(), write(tmp_path, flight, ins_east=np.full(40, 9e4)))),
-        (("'ins_north'", "row 8"), lambda: scenario.load(files(), write(tmp_path, flight, ins_north=holes))),
-        (("times", "row 40"), lambda: scenario.load(files(), write(tmp_path, flight, [*range(39), 5]))),
-        (("'radar'", "height"), lambda: scenario.load(files(), replace(good, height="radar"))),
-        (("coordinates", "'utm'"), lambda: scenario.load(files(), replace(good, coordinates="utm"))),
-        (("inertial", "three"), lambda: scenario.load(files(), replace(good, inertial=("a",)))),
-        (("truth", "two"), lambda: scenario.load(files(), replace(good, truth=("a",)))),
-        (("data file",), lambda: scenario.load(files(), Recording())),
-        (("data step",), lambda: scenario.load(files(), replace(good, time="", step=-1.0))),
-        (("map files",), lambda: scenario.load(MapFiles(), good)),
+        (("map", "covers", "row 1"), lambda: scenario.loaded(files(), write(tmp_path, flight, ins_east=np.full(40, 9e4)))),
+        (("'ins_north'", "row 8"), lambda: scenario.loaded(files(), write(tmp_path, flight, ins_north=holes))),
+        (("times", "row 40"), lambda: scenario.loaded(files(), write(tmp_path, flight, [*range(39), 5]))),
+        (("'radar'", "height"), lambda: scenario.loaded(files(), replace(good, height="radar"))),
+        (("coordinates", "'utm'"), lambda: scenario.loaded(files(), replace(good, coordinates="utm"))),
+        (("inertial", "three"), lambda: scenario.loaded(files(), replace(good, inertial=("a",)))),
+        (("truth", "two"), lambda: scenario.loaded(files(), replace(good, truth=("a",)))),
+        (("data file",), lambda: scenario.loaded(files(), Recording())),
+        (("data step",), lambda: scenario.loaded(files(), replace(good, time="", step=-1.0))),
+        (("map files",), lambda: scenario.loaded(MapFiles(), good)),
     ]
     for words, call in cases:
         with pytest.raises(mo.MotesError) as error:

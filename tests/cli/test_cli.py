@@ -12,6 +12,7 @@ import pytest
 from data import recorded
 from motes.cli.main import main
 
+MARGINALIZED = 'kind = "MarginalizedParticleFilter"\nn = 150'
 COMMAND = "import sys; from motes.cli.main import main; sys.exit(main())"
 
 
@@ -53,25 +54,13 @@ def change(folder, old, new):
 
 def test_demo_writes_everything(demo):
     names = {path.name for path in demo.iterdir()}
-    assert names == {"marginalized.nc", "particle.nc", "summary.json", "map.png", "states.png", "error.png", "flight.csv", "terrain.toml",
-                     "jacksboro_fault_dem.npz"}
+    histories = {f"{filter}.{form}" for filter in ("marginalized", "particle") for form in ("nc", "npz")}
+    assert names == histories | {"summary.json", "map.png", "states.png", "error.png", "flight.csv", "terrain.toml",
+                                 "jacksboro_fault_dem.npz"}
     summary = json.loads((demo / "summary.json").read_text())
     assert summary["settings"]["n"] == 150 and "jax_version" in summary["provenance"]
     assert set(summary["results"]) == {"marginalized", "particle"}
     assert summary["results"]["marginalized"]["milliseconds_per_step"] > 0
-
-
-def test_study_compares_filters(tmp_path, capsys, monkeypatch):
-    from motes.applications.terrain_navigation import comparison
-    from motes.filters.particle import ParticleFilter
-
-    monkeypatch.setattr(comparison, "usual_rivals", lambda model, wide: {"few": comparison.Rival(ParticleFilter(n=50)),
-                                                                         "wide": comparison.Rival(ParticleFilter(n=50), wide.dynamics)})
-    assert main(["demo", "terrain", "--study", "2", "--out", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().out
-    assert "few" in said and "of bound" in said
-    assert (tmp_path / "out" / "study.csv").read_text().startswith("filter,lost,")
-    assert (tmp_path / "out" / "study.png").stat().st_size > 10_000
 
 
 @pytest.mark.night
@@ -87,7 +76,7 @@ def test_run_repeats_the_demo(folder, demo, capsys):
 @pytest.mark.night  # much to compile
 def test_run_with_fifteen_states(folder, capsys):
     change(folder, "states = 9", "states = 15")
-    assert main(["run", str(folder / "terrain.toml"), "--filter.n", "60"]) == 0
+    assert main(["run", str(folder / "terrain.toml"), "--n", "60"]) == 0
     assert "Terrain: rough enough: " in capsys.readouterr().out
     summary = json.loads((folder / "run" / "summary.json").read_text())
     assert summary["settings"]["inertial"] == {"states": 15, "grade": "tactical"}
@@ -105,23 +94,31 @@ def test_run_without_truth_on_parquet(folder, capsys):
     parquet.write_table(arrow.table(table), folder / "flight.parquet")
     change(folder, '"flight.csv"', '"flight.parquet"')
     change(folder, 'truth = ["true_north", "true_east"]', "")
-    assert main(["run", str(folder / "terrain.toml"), "--out", str(folder / "mine"), "--filter.linear", "rD", "vD", "aD"]) == 0
-    assert {path.name for path in (folder / "mine").iterdir()} == {"marginalized.nc", "summary.json", "map.png", "states.png"}
+    words = ["--filter", "marginalized", "--filter.n", "150", "--filter.linear", "rD,vD,aD"]
+    assert main(["run", str(folder / "terrain.toml"), "--out", str(folder / "mine"), *words]) == 0
+    assert {path.name for path in (folder / "mine").iterdir()} == {"marginalized.nc", "marginalized.npz", "summary.json", "map.png",
+                                                                   "states.png"}  # fmt: skip
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [
     ("seed = 0", "seed = ", ("TOML", "line")),
     ("seed = 0", "sead = 0", ("'sead'", "seed", "filter")),
-    ("[filter]", "[filters]", ("'filters'",)),
-    ("policy =", "polizy =", ("[filter]", "'polizy'", "policy")),
+    ('application = "terrain"', 'application = "moon"', ("application", "terrain", "'moon'")),
+    ('application = "terrain"', "", ("terrain.toml: application", "'terrain'", "none")),
+    ("[route]", "[rout]", ("'rout'", "route")),
+    ("[filters.particle]", "[filters.more.particle]", ("filters.more kind", "'more'")),
+    ("n = 150", 'n = 150\npolizy = "ess"', ("filters.marginalized", "'polizy'", "policy")),
     ("n = 150", "n = 0", ("n:", "at least 1")),
-    ("n = 150", "n = 1e3", ("[filter] n", "whole number")),
-    ("n = 150", "n = 900000000000", ("filter n", "at most")),
-    ("n = 150", 'n = 150\nlinear = ["vX"]', ("vX",)),
-    ("n = 150", 'n = 150\nlinear = ["rN"]', ("rN",)),
-    ("n = 150", "n = 150\nthreshold = 7", ("ESS share",)),
-    ('kind = "marginalized"', 'kind = "kalman"', ("filter kind", "'kalman'")),
-    ('policy = "ess"', 'policy = "sometimes"', ("filter policy", "'sometimes'")),
+    ("n = 150", "n = 1e3", ("filters.marginalized n", "whole number")),
+    ("n = 150", "n = 900000000000", ("filters.marginalized n", "at most")),
+    ("seed = 0", "seed = 0\nn = 900000000000", ("n:", "at most")),
+    (f"{MARGINALIZED}", f'{MARGINALIZED}\nlinear = ["vX"]', ("vX",)),
+    (f"{MARGINALIZED}", f'{MARGINALIZED}\nlinear = ["rN"]', ("rN",)),
+    ("n = 150", 'n = 150\npolicy = { kind = "ESS", share = 7 }', ("ESS share",)),
+    (f"{MARGINALIZED}", 'kind = "kalmann"', ("filters.marginalized kind", "'kalmann'")),
+    ("n = 150", 'n = 150\npolicy = "sometimes"', ("filters.marginalized policy kind", "'sometimes'")),
+    ("seed = 0", "seed = 0\n[plan]\nbudged = 3", ("[plan]", "'budged'", "budget")),
+    ("seed = 0", "seed = 0\nstudy = 3", ("study", "a table")),
     ("seed = 0", "seed = -4", ("seed", "-4")),
     ("altimeter = 15.0", "altimeter = nan", ("altimeter", "nan")),
     ("altimeter = 15.0", "altimeter = 1e-30", ("altimeter", "1e-30")),
@@ -181,7 +178,7 @@ def test_plan_hands_over_what_the_file_says(folder, monkeypatch, capsys):
         return "the plan"
 
     monkeypatch.setattr("motes.planning.plan.plan", plan)
-    assert main(["plan", str(folder / "terrain.toml"), "--budget", "2.5ms", "--fixes", "30", "--runs", "4", "--seed", "9"]) == 0
+    assert main(["plan", str(folder / "terrain.toml"), "--budget", "2.5ms", "--steps", "30", "--runs", "4", "--seed", "9"]) == 0
     assert capsys.readouterr().out == "the plan\n"
     assert asked["budget"] == pytest.approx(2.5e-3) and asked["states"] == ("rN", "rE") and asked["verify"] is False
     assert (asked["pilot"].runs, asked["pilot"].seed, asked["pilot"].inputs.north.shape) == (4, 9, (30,))
@@ -195,8 +192,16 @@ def test_plan_hands_over_what_the_file_says(folder, monkeypatch, capsys):
     (["demo", "--n", "abc"], ("--n", "abc")),
     (["demo", "--m", "3"], ("--m",)),
     (["demo", "--filter", "best"], ("filter kind", "'best'")),
-    (["demo", "--position-noise", "-1"], ("position", "-1")),
-    (["demo", "--study", "-1"], ("study", "-1")),
+    (["demo", "--noises.position", "-1"], ("noises position", "-1")),
+    (["demo", "--route.fixes", "0"], ("route fixes", "0")),
+    (["demo", "--filters.a.n", "9"], ("filters.a kind", "'a'")),
+    (["demo", "--filters", "particle"], ("filters", "names of your own")),
+    (["demo", "--filter", "kalman", "--n", "9"], ("n:", "filters with particles", "kalman")),
+    (["demo", "robot", "--odometry", "none"], ("--odometry",)),
+    (["demo", "aircraft", "--duration", "5"], ("duration", "5")),
+    (["demo", "model.py:make"], ("'model.py:make'", "terrain")),
+    (["run", "moon"], ("'moon'", "terrain", "MODULE:FUNCTION")),
+    (["study", "terrain", "--steps", "500"], ("steps", "at most 400", "500")),
     (["demo", "--out", "/proc/none/out"], ("/proc/none/out", "folder")),
     (["run"], ("TOML", "nothing")),
     (["run", "none.toml"], ("none.toml",)),

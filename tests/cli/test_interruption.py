@@ -115,9 +115,10 @@ print(kept, flush=True)
 """
 COMMANDS = {
     "demo": ("demo", "--n", "100", "--out", "OUT"),
-    "demo with a study": ("demo", "--n", "100", "--study", "3", "--out", "OUT"),
+    "demo of an aircraft": ("demo", "aircraft", "--n", "50", "--out", "OUT"),
+    "study": ("study", "FLIGHT/terrain.toml", "--runs", "200", "--steps", "50", "--out", "OUT"),
     "run": ("run", "FLIGHT/terrain.toml", "--out", "OUT"),
-    "plan": ("plan", "FLIGHT/terrain.toml", "--budget", "2.5ms", "--fixes", "30", "--runs", "4"),
+    "plan": ("plan", "FLIGHT/terrain.toml", "--budget", "2.5ms", "--steps", "30", "--runs", "4"),
 }
 
 
@@ -139,7 +140,7 @@ def test_interruptions_at_random_moments(name, request, tmp_path):
     for number in range(20 if NIGHT else 1):
         out = tmp_path / f"out{number}"
         words = [word.replace("OUT", str(out)) for word in COMMANDS[name]]
-        if name in ("run", "plan"):
+        if name in ("run", "plan", "study"):
             words[1] = words[1].replace("FLIGHT", str(request.getfixturevalue("flight")))
         process = started("from motes.cli.main import main; main()", *words)
         time.sleep(0.5 + chance.uniform(0, 12.0 if NIGHT else 4.0))

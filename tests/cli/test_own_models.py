@@ -65,17 +65,17 @@ def test_a_run_writes_what_python_would_find(folder, capsys):
     assert main(["run", "model.py:make", *words, "--filter.policy", "ESS", "--filter.policy.share=0.3", "--smoother", "genealogy",
                  "--smoother.lag", "5", "--out", "found"]) == 0  # fmt: skip
     said = capsys.readouterr().out
-    assert "n=300" in said and "share=0.3" in said and "rms errors" in said
+    assert "n=300" in said and "share=0.3" in said and "rms east" in said and "at the end" in said
     names = {path.name for path in Path("found").iterdir()}
-    assert names == {"history.nc", "history.npz", "summary.json", "states.png", "smoothed.csv"}
+    assert names == {"particle.nc", "particle.npz", "summary.json", "states.png", "particle_smoothed.csv"}
     ys = YS.copy()
     ys[4, 0] = np.nan
-    history = mo.History.load("found/history.npz")
+    history = mo.History.load("found/particle.npz")
     wanted = mo.run(0, mo.ParticleFilter(n=300, policy=mo.resampling.ESS(0.3)), history_model(), ys)
     np.testing.assert_allclose(history.mean, wanted.mean, rtol=1e-4, atol=1e-4)
     summary = json.loads(Path("found/summary.json").read_text())
-    assert set(summary["results"][history.label]["rmse"]) == {"east", "north"}
-    assert len(Path("found/smoothed.csv").read_text().splitlines()) == STEPS + 1
+    assert {"rms_east", "rms_north"} <= set(summary["results"]["particle"])
+    assert len(Path("found/particle_smoothed.csv").read_text().splitlines()) == STEPS + 1
 
 
 def history_model():
@@ -109,7 +109,7 @@ def test_a_toml_file_says_the_same_and_flags_change_it(folder, capsys):
     Path("own.toml").write_text(TOML.partition("[filters")[0])
     assert main(["run", "own.toml", "--out", "one"]) == 0
     assert "gate=0.9999" in capsys.readouterr().out
-    times = mo.History.load("one/history.npz").times
+    times = mo.History.load("one/kalman.npz").times
     np.testing.assert_allclose(times, 0.5 * np.arange(STEPS))
     assert main(["run", "own.toml", "--filter", "ensemble kalman", "--filter.n", "40", "--out", "two", "--seed", "1"]) == 0
     assert "n=40" in capsys.readouterr().out
@@ -132,7 +132,7 @@ def test_arrays_come_from_files_of_any_kind(folder, capsys, ending):
     names = [] if ending == "mat" else ["--data.columns", "a", "b"]
     assert main(["run", "model.py:make", "--data", file, *names, "--filter", "kalman", "--out", "found"]) == 0
     wanted = mo.run(0, mo.KalmanFilter(), history_model(), YS)
-    np.testing.assert_allclose(mo.History.load("found/history.npz").mean, wanted.mean, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(mo.History.load("found/kalman.npz").mean, wanted.mean, rtol=1e-4, atol=1e-4)
 
 
 def test_a_function_may_make_measurements_of_the_data(folder, capsys):
@@ -169,6 +169,8 @@ REFUSALS = [
     (["model.py:make", *GOOD[:-1], "kalmann"], ["filter kind: expected the name of a Filter, such as kalman", "'kalmann'"]),
     (["model.py:make", *GOOD, "--filter.n", "3"], ["filter: expected parameters of KalmanFilter", "'n'"]),
     (["model.py:make", *GOOD[:-1], "particle"], ["filter n: expected a value", "--filter.n"]),
+    (["model.py:make", "--filter", "kalman"], ["data: expected a file of measurements", "--data FILE"]),
+    (["model.py:make", "--data", "y.csv", "--filter.n", "3"], ["filter: expected a name"]),
     (["model.py:make", *GOOD[:-1], "particle", "--filter.n", "many"], ["filter n: expected a whole number", "'many'"]),
     (["model.py:make", *GOOD[:-1], "particle", "--filter.n", "9", "--filter.policy", "often"], ["filter policy kind"]),
     (["model.py:make", "--data", "y.csv", "--data.columns", "a", "z", "--filter", "kalman"], ["data: expected names in the file", "'z'"]),

@@ -117,7 +117,7 @@ def test_false_alarms(name):
 
 
     def planted(square, freedom):
-        return jax.lax.scan(lambda total, now: alarm.advanced(total, *now), jnp.zeros(()), (square, freedom))[1]
+        return jax.lax.scan(lambda total, now: alarm.advanced(total, *now, jnp.zeros(1)), jnp.zeros(()), (square, freedom))[1]
 
     assert int(jax.vmap(planted)(3 * info.nis, info.freedom).sum()) > 100
 

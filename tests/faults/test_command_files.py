@@ -14,12 +14,13 @@ ROUTE = 41
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory):
     """A flight with its map and settings, as `motes demo` writes it."""
-    from motes.applications.terrain_navigation import scenario
-    from motes.applications.terrain_navigation.settings import Route
-    from motes.cli.demo_terrain import Demo, write_flight
+    from motes.applications.terrain.job import load
+    from motes.cli.asked import Run, asked
+    from motes.cli.demo import write
 
     folder = tmp_path_factory.mktemp("flight")
-    write_flight(scenario.simulated(0, route=Route(fixes=ROUTE)), Demo(n=50), folder)
+    wish = asked(Run, ["terrain", "--n", "50", "--route.fixes", str(ROUTE)], "motes demo terrain")
+    write(folder / "terrain.toml", wish, load(wish.own(), 0))
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
@@ -104,12 +105,12 @@ def test_feet_are_told(folder, capsys, columns):
 
 
 def test_meters_and_named_marks_of_missing_numbers_are_taken(flight, folder):
-    from motes.applications.terrain_navigation import scenario
-    from motes.applications.terrain_navigation.settings import MapFiles, Recording
+    from motes.applications.terrain import scenario
+    from motes.applications.terrain.settings import MapFiles, Recording
 
     path = rewritten(folder, cell(3, "height", "-9999"))
     files = MapFiles(files=(str(path.parent / "jacksboro_fault_dem.npz"),))
-    loaded = scenario.load(files, Recording(file=str(path.parent / "flight.csv"), missing=-9999.0))
+    loaded = scenario.loaded(files, Recording(file=str(path.parent / "flight.csv"), missing=-9999.0))
     assert np.isnan(np.asarray(loaded.ys)).ravel().nonzero()[0].tolist() == [3]
 
 
@@ -117,7 +118,6 @@ def test_meters_and_named_marks_of_missing_numbers_are_taken(flight, folder):
     ('height = "height"', 'height = "ins_altitude"', ("'ins_altitude'", "two of them")),
     ('["ins_north", "ins_east", "ins_altitude"]', '["ins_north", "ins_north", "ins_altitude"]', ("'ins_north'",)),
     ('time = "time"', 'time = "height"', ("'height'",)),
-    ('time = "time"', 'time = ""\nstep = 1e15', ("data step", "1000000000000000")),
     ('out = "run"', 'out = ""', ("out", "none")),
     ('out = "run"', 'out = "a\\u0000b"', ("out",)),
     ('out = "run"', 'out = "~nobody-of-that-name/x"', ("home folder",)),
@@ -135,15 +135,19 @@ def test_settings_that_cannot_be_are_refused(folder, capsys, old, new, words):
     assert {path.name for path in folder.iterdir()} == before
 
 
+def test_steps_of_time_that_cannot_be_are_refused(folder, capsys):
+    said(capsys, ["run", folder / "terrain.toml", "--data.time", "", "--data.step", "1e15"], "data step", "1000000000000000")
+
+
 def test_a_home_folder_is_one(folder, tmp_path, monkeypatch):
-    from motes.cli.options import from_file_and_flags, from_flags
+    from motes.cli.asked import Run, asked
+    from motes.cli.options import from_flags
     from motes.cli.report import Report
-    from motes.cli.run import Config
 
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    config = from_file_and_flags(Config, [str(changed(folder, 'out = "run"', 'out = "~/x"'))], "motes run")
+    config = asked(Run, [str(changed(folder, 'out = "run"', 'out = "~/x"'))], "motes run").settings
     assert config.out == str(tmp_path / "home" / "x") and config.map.files == (str(folder / "jacksboro_fault_dem.npz"),)
-    config = from_file_and_flags(Config, [str(folder / "terrain.toml"), "--out=~/y", "--data.file=~/z.csv"], "motes run")
+    config = asked(Run, [str(folder / "terrain.toml"), "--out=~/y", "--data=~/z.csv"], "motes run").settings
     assert (config.out, config.data.file) == (str(tmp_path / "home" / "y"), str(tmp_path / "home" / "z.csv"))
     assert from_flags(Report(), ["--out=~/page.html"], "motes report").out == str(tmp_path / "home" / "page.html")
 

@@ -47,6 +47,20 @@ def test_a_wild_fix_is_left_out_and_counted(name):
     assert not got.info.collapsed.any()
 
 
+WIDE = mo.replace(MODEL, sensor=mo.LinearGaussian([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], 0.1 * np.eye(3)))
+THREE = np.array(mo.simulate(4, WIDE, 12)[1])
+THREE[6] += [0.0, 20.0, 0.0]
+
+
+@pytest.mark.parametrize("name", each(list(GATED), set(GATED) - BY_DAY))
+def test_a_wild_fix_of_three_components_is_left_out(name):
+    """What a gate lets in grows with the components: that of clouds once stopped short of it."""
+    parameters = {"nonlinear": ("a",)} if name == "KalmanParticleKernelFilter" else {}
+    got = mo.run(0, discovery.example(GATED[name], gate=0.9999, **parameters), WIDE, THREE)
+    assert np.asarray(got.info.gated).tolist() == [0] * 6 + [1] + [0] * 5
+    assert not got.info.collapsed.any()
+
+
 @pytest.mark.parametrize("name", [name for name in GATED if not GATED[name].weighs])
 def test_the_message_speaks_of_the_innovation(name):
     with pytest.raises(mo.CollapseError, match="step 6: the innovation lies .* standard deviations .*gate=0.9999") as told:
@@ -82,7 +96,8 @@ VARIANCES[2, 1] = VARIANCES[3] = np.inf
 
 
 OTHERS = ("PointMassFilter", "CostReferenceParticleFilter", "SkeletonFilter")
-EITHER = {name: discovery.example(cls) for name, cls in discovery.filter_classes().items() if name not in OTHERS}
+EXAMPLES = {name: discovery.example(cls) for name, cls in discovery.filter_classes().items() if name not in OTHERS}
+EITHER = {name: filter for name, filter in EXAMPLES.items() if not filter.adds_inputs}
 ON_ENGINES = {f"{name}-{engine}": (name, engine) for name, filter in EITHER.items() for engine in ("jax", "native")
               if engine == "jax" or hasattr(filter, "n")}  # fmt: skip
 """Filters without particles have nothing that the native engine could do."""

@@ -87,3 +87,67 @@ def test_no_sensor_is_refused():
         mo.Independent()
     with pytest.raises(mo.MotesError, match="Independent a: expected a sensor"):
         mo.Independent(a=3)
+
+
+GATED = {
+    "extended Kalman": mo.ExtendedKalmanFilter, "cubature": mo.CubatureKalmanFilter, "marginalized": lambda **gate:
+    mo.MarginalizedParticleFilter(n=400, **gate), "wrapped": lambda **gate: mo.Adapting(mo.ExtendedKalmanFilter(**gate), {}, unchanged),
+}  # fmt: skip
+
+
+def unchanged(key, memory, law, y, u, t):
+    return memory
+
+
+def disturbed():
+    """Speeds that are far off at two steps, and a radar that is off at one."""
+    named = {name: values.copy() for name, values in NAMED.items()}
+    named["speed"][[3, 7]] += 40.0
+    named["radar"][9, 0] += 500.0
+    return named
+
+
+def without(named, speeds, radars):
+    kept = {name: values.copy() for name, values in named.items()}
+    kept["speed"][speeds] = np.nan
+    kept["radar"][radars] = np.nan
+    return kept
+
+
+@pytest.mark.parametrize("name", GATED)
+def test_each_sensor_is_held_against_its_gate_alone(name):
+    filter, ys = GATED[name], disturbed()
+    found, wanted = mo.run(1, filter(gate=0.9999), GAUSSIAN, ys), mo.run(1, filter(), GAUSSIAN, without(ys, [3, 7], 9))
+    np.testing.assert_allclose(found.mean, wanted.mean, rtol=1e-4, atol=1e-4)
+    assert np.flatnonzero(np.asarray(found.info.gated)).tolist() == [3, 7, 9]
+    assert np.asarray(found.info.nis)[[3, 7, 9]].min() > 50
+    np.testing.assert_allclose(found.info.freedom, 3, atol=0.2)
+    radar = mo.run(1, filter(gate={"radar": 0.9999}), GAUSSIAN, NAMED | {"radar": ys["radar"]})
+    assert np.flatnonzero(np.asarray(radar.info.gated)).tolist() == [9]
+    open_to_speeds = mo.run(1, filter(gate={"radar": 0.9999}), GAUSSIAN, ys)
+    assert not open_to_speeds.info.gated[3]
+    stream = mo.stream(1, filter(gate=0.9999), GAUSSIAN)
+    for t in range(STEPS):
+        if t:
+            stream.predict()
+        stream.update({name: values[t] for name, values in ys.items()})
+    np.testing.assert_allclose(stream.mean, found.mean[-1], rtol=1e-5, atol=1e-5)
+
+
+def test_both_sensors_off_is_nothing_measured():
+    ys = disturbed()
+    ys["radar"][7] += 500.0
+    found = mo.run(1, mo.ExtendedKalmanFilter(gate=0.9999), GAUSSIAN, ys)
+    wanted = mo.run(1, mo.ExtendedKalmanFilter(), GAUSSIAN, without(ys, [3, 7], [7, 9]))
+    np.testing.assert_allclose(found.mean, wanted.mean, rtol=1e-4, atol=1e-4)
+    assert found.info.gated[7] == 2 and found.info.log_evidence[7] == 0
+
+
+@pytest.mark.parametrize(("gate", "sensor", "words"), [
+    ({"sonar": 0.99}, None, "ExtendedKalmanFilter gate: expected gates of speed, radar, got 'sonar'"),
+    ({"radar": 0.99}, ONE, "one number: the model has no sensors by name"),
+    ({"radar": 2.0}, None, "ExtendedKalmanFilter gate: expected a probability"),
+])  # fmt: skip
+def test_gates_that_do_not_fit_are_refused(gate, sensor, words):
+    with pytest.raises(mo.MotesError, match=words):
+        mo.run(1, mo.ExtendedKalmanFilter(gate=gate), GAUSSIAN if sensor is None else model(sensor), YS)

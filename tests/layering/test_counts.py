@@ -100,7 +100,7 @@ def test_nobody_asks_ours_for_an_attribute():
     assert asked_by_attribute(ast.parse("x = 1\nhasattr(x, 'n')")) == [2]
 
 
-COMMON = {"main": "of each command", "score": "of each application's runs"}
+COMMON = {"main": "of each command", "load": "of each application", "score": "of each application's runs"}
 """Names that many files give to a function because it is the same thing in each."""
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import motes as mo
 from data import recorded
-from motes.applications.terrain_navigation.comparison import Rival
+from motes.applications.terrain.comparison import Rival
 
 FOLDER = Path(__file__).parents[2] / "papers" / "dahia2004"
 

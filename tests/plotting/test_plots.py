@@ -8,9 +8,9 @@ import pytest
 
 import motes as mo
 from data import refused
+from motes.applications.terrain.pictures import Tracks, error_figure, map_figure
 from motes.models.terrain import TerrainMap
 from motes.planning.plan import COLUMNS
-from motes.plotting.terrain import Tracks, error_figure, map_figure
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import pytest
 from broken_filters import BROKEN
 from example_filter import TextbookFilter
+from example_wrapper import Remembering
 
 import motes as mo
 from motes.testing.rules import RULES, asked
@@ -35,6 +36,19 @@ def test_a_filter_of_ones_own_is_asked_everything_that_applies():
     verdict.raise_on_failure()
     assert verdict.passed and len(verdict.held) == len(RULES) - 2
     assert {reason for _, reason in verdict.left_out} == {"the filter weighs nothing.", "the filter has no n."}
+
+
+@pytest.mark.optimized
+@pytest.mark.night
+def test_a_wrapper_of_ones_own_is_one_file():
+    mo.testing.check_filter(Remembering(mo.ParticleFilter(n=200))).raise_on_failure()
+
+
+def test_a_wrapper_of_ones_own_runs():
+    model = mo.textbook.constant_velocity()
+    ys = mo.simulate(0, model, 6)[1]
+    history = mo.run(1, Remembering(mo.ParticleFilter(n=200)), model, ys)
+    assert jnp.array_equal(history.mean, mo.run(1, mo.ParticleFilter(n=200), model, ys).mean) and history.last.state.beside != 0
 
 
 def test_a_verdict_tells_rule_by_rule_and_raises():

@@ -1,21 +1,54 @@
-"""`motes demo [NAME]`: fly a demonstration; each is a module of its own with `main(words)`."""
+"""`motes demo [NAME]`: run an application on a world of its own, and write that as a user's own files would come.
 
-import importlib
+Beside what `motes run` writes there are the files of the world and NAME.toml, which names them: to be changed and run again.
+"""
+
 from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+from motes.cli.asked import Asked, Run, applications, asked
 from motes.cli.options import refuse
+from motes.cli.records import choice_of
+from motes.cli.run import carried_out
 
-DEMOS = {"terrain": "motes.cli.demo_terrain", "robot": "motes.cli.demo_robot"}
-"""Name of each demonstration to its module; the first is flown when none is named."""
+if TYPE_CHECKING:
+    from motes.applications.interface import Job
+
+FIRST = "terrain"
+"""The application that is shown where none is named."""
 
 
 def main(words: Sequence[str]) -> None:
-    """Hand over to the demonstration that is named.
+    """Run an application.
 
     Raises:
-        MotesError: there is no such demonstration, or it refuses its options.
+        MotesError: there is none of that name, or it refuses its options.
     """
-    name, rest = (words[0], words[1:]) if words and not words[0].startswith("-") else (next(iter(DEMOS)), words)
-    if name not in DEMOS:
-        refuse("demo", "one of " + ", ".join(DEMOS), repr(name))
-    importlib.import_module(DEMOS[name]).main(rest)
+    name, rest = (words[0], words[1:]) if words and not words[0].startswith("-") else (FIRST, words)
+    if name not in applications():
+        refuse("demo", "one of " + ", ".join(applications()), repr(name))
+    wish = asked(Run, [name, *rest], f"motes demo {name}")
+    folder, job = carried_out(wish)
+    path = folder / f"{name}.toml"
+    write(path, wish, job)
+    print(f"Results are in {folder}. The same from its files: motes run {path}")
+
+
+def write(path: Path, wish: Asked, job: "Job") -> None:
+    """Write the files of the world, and beside them the TOML file that has all that was asked and names them."""
+    from motes.cli import toml
+    from motes.cli.running import write_text
+
+    head = [
+        f"# Run with: motes run {path.name}     Any key can be changed by a flag, too, such as --n 2000 (see motes run --help).",
+        "# motes plan and motes study read the same file. Paths are relative to this file.",
+        f'application = "{wish.application.name}"',
+        f"seed = {wish.settings.seed}",
+        'out = "run"',
+        "",
+    ]
+    text = toml.written(job.written(path.parent, wish.own()), path.parent)
+    tables = [toml.table(f"filters.{name}", choice_of(filter)) for name, filter in wish.filters(job, "filter", "filters").items()]
+    about = "# the filters that are compared, each a table: kind is their name in Python, the other keys are their parameters"
+    write_text(path, "\n".join([*head, text, about, *tables]))

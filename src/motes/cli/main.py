@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from motes.cli import interruption
 
 COMMANDS = {
-    "demo": "run a demonstration: terrain (the default) or robot",
-    "run": "run a filter on your own map or your own model, and your measurements",
+    "demo": "run an application on a world of its own: terrain (the default), robot, aircraft, ...",
+    "run": "run filters on an application or your own model, with your measurements",
     "plan": "choose filter, partition and number of particles for a time per step",
-    "study": "compare filters on many simulated runs of your own model",
+    "study": "compare filters on many simulated runs",
     "calibrate": "measure what the parts of a filter cost on this machine",
     "report": "write the web page of a study from the folder of its runs",
     "doctor": "print versions, devices and precision",

@@ -69,30 +69,28 @@ def _first_words(box: str) -> str:
     return " ".join(found).rstrip(".")
 
 
-def from_toml(kind: type[Settings], path: str) -> Settings:
-    """Read settings from a TOML file; paths in it are relative to its folder.
+def from_table(kind: type[Settings], table: Any, path: str, place: str = "") -> Settings:
+    """Return settings from the table of a TOML file, or from the table at some place of it; paths in it are relative to its folder.
 
     Args:
         kind: a frozen dataclass whose fields all have defaults.
+        table: what the file has.
         path: the file.
+        place: of the table.
 
     Raises:
-        FileError: the file is missing, larger than 1 MB or not UTF-8, or is no TOML; the message names the line.
         MotesError: a key is unknown or a value has another kind; the message names it.
     """
-    return from_table(kind, read_toml(path), path)
-
-
-def from_table(kind: type[Settings], table: dict[str, Any], path: str) -> Settings:
-    """Return settings from the table of a TOML file; see `from_toml`."""
-    return _from_table(kind, table, Path(path), "")
+    if not isinstance(table, dict):
+        refuse(f"{Path(path).name}: {place}", f"a table [{place}]", shown(table))
+    return _from_table(kind, table, Path(path), place)
 
 
 def read_toml(path: str) -> dict[str, Any]:
     """Read the table of a TOML file.
 
     Raises:
-        FileError: see `from_toml`.
+        FileError: the file is missing, larger than 1 MB or not UTF-8, or is no TOML; the message names the line.
     """
     from motes.io.files import foreign, look, reject
 
@@ -105,21 +103,6 @@ def read_toml(path: str) -> dict[str, Any]:
         if text.count(".") > DOTS:
             reject(path, f"a TOML file with at most {DOTS} points", text.count("."))
         return tomllib.loads(text)
-
-
-def from_file_and_flags(kind: type[Settings], words: Sequence[str], usage: str) -> Settings:
-    """Read settings from a TOML file, which comes first, and from flags that change single keys of it.
-
-    Args:
-        kind: a frozen dataclass whose fields all have defaults.
-        words: of the command line, after the command.
-        usage: the command, for messages and help.
-
-    Raises:
-        MotesError: no file is named, or what `from_toml` and `from_flags` raise.
-    """
-    path, flags = first_and_flags(kind(), words, usage, "a TOML file first", "motes demo writes an example: out/terrain.toml.")
-    return from_flags(from_toml(kind, path), flags, usage)
 
 
 def first_and_flags(default: Any, words: Sequence[str], usage: str, expected: str, hint: str) -> tuple[str, Sequence[str]]:
@@ -167,6 +150,11 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     """Return a value of a TOML file in the kind of its field."""
     if isinstance(hint, types.UnionType):
         hint = next(option for option in typing.get_args(hint) if option is not types.NoneType)
+    if typing.get_origin(hint) is typing.Literal:
+        known = typing.get_args(hint)
+        if value not in known or type(value) is bool:
+            refuse(where, "one of " + ", ".join(map(repr, known)), shown(value))
+        return value
     if typing.get_origin(hint) is tuple:
         value = [value] if isinstance(value, str) else value
         if isinstance(value, list) and all(isinstance(item, str) for item in value):

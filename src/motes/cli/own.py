@@ -1,25 +1,18 @@
-"""A user's own model, measurements and filter: what `motes run`, `motes plan` and `motes study` share of them."""
+"""A model of the user's own: its function, and measurements from a file."""
 
 import importlib
 import importlib.util
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
-from motes.cli.options import from_flags, from_table, read_toml, refuse, shown
-from motes.cli.records import flags_of, merged
+import numpy as np
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    from motes.models.interface import Model
-
-RECORDS = ("filter", "smoother", "filters")
-"""Options that choose records: tables of a file, or flags."""
+from motes.cli.options import refuse, shown
 
 
 @dataclass(frozen=True)
@@ -41,80 +34,64 @@ class Data:
     truth: tuple[str, ...] = ()
 
 
-def is_own(words: Sequence[str]) -> bool:
-    """Tell whether a command line is of a model of the user's: MODULE:FUNCTION, or a TOML file that names one."""
-    if not words or words[0].startswith("-"):
-        return False
-    if words[0].endswith(".toml"):
-        return Path(words[0]).is_file() and ":" in str(read_toml(words[0]).get("application", ""))
-    return ":" in words[0]
-
-
-def settings_of(kind: type, words: Sequence[str], usage: str) -> tuple[Any, dict[str, Any]]:
-    """Return the settings of a command, and the choices of records beside them.
-
-    Args:
-        kind: a frozen dataclass with a field `application`.
-        words: of the command line: MODULE:FUNCTION or a TOML file, then flags.
-        usage: the command, for messages and help.
-
-    Raises:
-        MotesError: an option cannot be used.
-    """
-    choices, flags = flags_of(words[1:], RECORDS)
-    # --data FILE is short for --data.file FILE
-    flags = ["--data.file" if word == "--data" else word for word in flags]
-    if words[0].endswith(".toml"):
-        table = read_toml(words[0])
-        choices = {name: merged(table.get(name), choices.get(name, {})) for name in RECORDS if name in table or name in choices}
-        default = from_table(kind, {key: value for key, value in table.items() if key not in RECORDS}, words[0])
-        where = str(Path(words[0]).resolve().parent)
-    else:
-        default, where = kind(application=words[0]), ""
-    settings = from_flags(default, flags, usage)
-    return settings, {**choices, "folder": where}
-
-
-class Made(NamedTuple):
-    """What the user's function made.
+@dataclass(frozen=True)
+class Own:
+    """What can be set of a model of the user's own.
 
     Attributes:
-        model: the model.
-        given: what else it gave: `ys`, `inputs`, `truth`.
+        data: the measurements (`--data FILE` is short for `--data.file FILE`).
     """
 
-    model: "Model"
-    given: dict[str, Any]
+    data: Data = Data()
 
 
-def made(application: str, folder: str, data: dict[str, "np.ndarray"] | None) -> Made:
-    """Call the user's function.
+def load(application: str, folder: str, settings: Own) -> Any:
+    """Make a job of the user's function and data.
 
     Args:
         application: "module:function" or "file.py:function".
         folder: to look in first; the present one if empty.
-        data: arrays of the file of measurements by name, for a function that takes them.
+        settings: where the measurements are.
+
+    Returns:
+        A `Job`.
 
     Raises:
-        MotesError: there is no such module or function, it fails, or does not give a model.
+        MotesError: there is no such module or function, it fails, or does not give a model; or the data cannot be used.
     """
+    from motes.applications.interface import Job
+    from motes.io.arrays import read_arrays
     from motes.models.interface import Model
+    from motes.models.times import Timeline
 
     function = _function(application, folder)
+    data = read_arrays(settings.data.file) if settings.data.file else None
+    found = _called(application, function, data)
+    if isinstance(found, Job):
+        return found
+    given = dict(found) if isinstance(found, dict) else {"model": found}
+    if not isinstance(given.get("model"), Model):
+        refuse(f"application {application}", "a function that returns a model, a dictionary with 'model', or a Job", type(found).__name__)
+    unknown = set(given) - {"model", "ys", "inputs", "truth"}
+    if unknown:
+        refuse(f"application {application}", "a dictionary of model, ys, inputs, truth", shown(sorted(unknown)[0]))
+    if data is not None and "ys" not in given:
+        given = measured(settings.data, data, given["model"]) | given
+    line = given.get("ys")
+    if isinstance(line, Timeline):
+        given |= {"ys": line.ys, "inputs": line.inputs, "times": line.start + line.seconds}
+    return Job(**given)
+
+
+def _called(application: str, function: Callable[..., Any], data: dict[str, np.ndarray] | None) -> Any:
+    """Return what the user's function gives; one with an argument gets the arrays of the file by name."""
     try:
         takes = len(inspect.signature(function).parameters)
     except (TypeError, ValueError):
         takes = 0
     if takes > 1 or (takes == 1 and data is None):
         refuse(f"application {application}", "a function of no arguments, or of the data by name (with --data)", f"one of {takes}")
-    found = _guarded(application, lambda: function(data) if takes else function())
-    given = dict(found) if isinstance(found, dict) else {"model": found}
-    if not isinstance(given.get("model"), Model):
-        refuse(f"application {application}", "a function that returns a model, or a dictionary with 'model'", type(found).__name__)
-    unknown = set(given) - {"model", "ys", "inputs", "truth"}
-    if unknown:
-        refuse(f"application {application}", "a dictionary of model, ys, inputs, truth", shown(sorted(unknown)[0]))
-    return Made(given.pop("model"), given)
+    return _guarded(application, lambda: function(data) if takes else function())
 
 
 def _function(application: str, folder: str) -> Callable[..., Any]:
@@ -156,39 +133,12 @@ def _guarded(application: str, work: Callable[[], Any]) -> Any:
         refuse(f"application {application}", "a module and function that work", f"{type(reason).__name__}{where}: {text}")
 
 
-class Measured(NamedTuple):
-    """Measurements as `run` takes them.
-
-    Attributes:
-        ys: measurements, or a timeline of them.
-        inputs: by name, or None.
-        truth: true states `(t, x)`, or None.
-    """
-
-    ys: Any
-    inputs: Any
-    truth: Any
-
-
-def read(data: Data) -> dict[str, "np.ndarray"]:
-    """Read all arrays of a file of measurements, by name.
-
-    Raises:
-        FileError: the file cannot be read.
-    """
-    from motes.io.arrays import read_arrays
-
-    return read_arrays(data.file)
-
-
-def measured(data: Data, arrays: dict[str, "np.ndarray"], model: "Model") -> Measured:
-    """Return measurements, inputs and truth of the arrays of a file.
+def measured(data: Data, arrays: dict[str, np.ndarray], model: Any) -> dict[str, Any]:
+    """Return measurements, inputs and truth of the arrays of a file, by these names.
 
     Raises:
         MotesError: a name is not there, or there are not as many true states as states.
     """
-    import numpy as np
-
     from motes.models.times import times
 
     def column(name: str) -> np.ndarray:
@@ -207,4 +157,6 @@ def measured(data: Data, arrays: dict[str, "np.ndarray"], model: "Model") -> Mea
     truth = np.stack([column(name) for name in data.truth], axis=1) if data.truth else None
     if truth is not None and truth.shape[1] != model.size:
         refuse("data truth", f"a column for each of the states {', '.join(model.names)}", ", ".join(data.truth))
-    return Measured(times(column(data.time), ys, inputs=inputs) if data.time else ys, None if data.time else inputs, truth)
+    if data.time:
+        return {"ys": times(column(data.time), ys, inputs=inputs), "truth": truth}
+    return {"ys": ys, "inputs": inputs, "truth": truth}

@@ -21,6 +21,8 @@ from motes.cli.options import KINDS, refuse, shown
 KIND = "kind"
 ROOMS = ("motes", "motes.filters", "motes.resampling", "motes.smoothers", "motes.gaussian")
 """Where the records are that a user can name."""
+MOST = 50_000_000
+"""More particles than any machine that this runs on holds; a slip of the keyboard should not exhaust its memory."""
 
 
 def spelled(name: str) -> str:
@@ -30,6 +32,13 @@ def spelled(name: str) -> str:
         if plain.endswith(ending) and plain != ending:
             plain = plain[: -len(ending)]
     return plain
+
+
+def file_name(choice: Any) -> str:
+    """Return what a run of a chosen filter is called, such as "ensemble_kalman"."""
+    words = re.findall(r"[A-Z]?[a-z0-9]+|[A-Z]+", choice if isinstance(choice, str) else choice[KIND])
+    plain = [word.lower() for word in words]
+    return "_".join(plain[:-1] if plain[-1:] == ["filter"] and len(plain) > 1 else plain) or "filter"
 
 
 def kinds(base: type) -> dict[str, type]:
@@ -56,7 +65,8 @@ def build(base: type, choice: Any, place: str) -> Any:
         refuse(place, f"a name, or a table with {KIND} = a name", shown(choice))
     known = kinds(base)
     short = {spelled(name): one for name, one in known.items()}
-    kind = known.get(table[KIND]) or short.get(spelled(table[KIND]))
+    ending = [one for name, one in short.items() if name.endswith(spelled(table[KIND]))]
+    kind = known.get(table[KIND]) or short.get(spelled(table[KIND])) or (ending[0] if len(ending) == 1 else None)
     if kind is None:
         near = difflib.get_close_matches(spelled(table[KIND]), short, 5, 0.4) or sorted(short)[:12]
         refuse(f"{place} {KIND}", f"the name of a {base.__name__}, such as {', '.join(near)}", shown(table[KIND]))
@@ -69,6 +79,8 @@ def build(base: type, choice: Any, place: str) -> Any:
                and field.default_factory is dataclasses.MISSING and name not in given]  # fmt: skip
     if missing:
         refuse(f"{place} {missing[0]}", f"a value, which {kind.__name__} asks for", "none", f"Give --{place}.{missing[0]}.")
+    if type(given.get("n")) is int and given["n"] > MOST:
+        refuse(f"{place} n", f"at most {MOST} particles", given["n"])
     hints = typing.get_type_hints(kind)
     return kind(**{name: _field_value(hints[name], value, f"{place} {name}") for name, value in given.items()})
 
@@ -147,3 +159,27 @@ def merged(table: Any, flags: Any) -> Any:
     if KIND in flags and spelled(str(flags[KIND])) != spelled(str(base.get(KIND, flags[KIND]))):
         base = {}
     return {**base, **{name: merged(base.get(name), value) if isinstance(value, dict) else value for name, value in flags.items()}}
+
+
+def with_size(filters: dict[str, Any], n: int) -> dict[str, Any]:
+    """Return filters with n particles, those that have any.
+
+    Raises:
+        MotesError: none has, or there are too many.
+    """
+    if n > MOST:
+        refuse("n", f"at most {MOST} particles", n)
+    sized = {name for name, one in filters.items() if any(field.name == "n" for field in dataclasses.fields(one))}
+    if not sized:
+        refuse("n", "filters with particles", ", ".join(filters))
+    return {name: dataclasses.replace(one, n=n) if name in sized else one for name, one in filters.items()}
+
+
+def choice_of(record: Any) -> dict[str, Any]:
+    """Return the table that chooses a record: its kind, and the parameters that are not as they are by default."""
+    found: dict[str, Any] = {KIND: type(record).__name__}
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if field.init and not (value == field.default and type(value) is type(field.default)):
+            found[field.name] = choice_of(value) if dataclasses.is_dataclass(value) else value
+    return found

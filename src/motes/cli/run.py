@@ -1,64 +1,95 @@
-"""`motes run CONFIG.toml`: run a filter on the user's own map and measurements; on the user's own model see `run_own.py`.
+"""`motes run APPLICATION`: run filters on an application or a model of the user's own, its measurements made up or from files.
 
-The TOML file has the tables [map], [data], [inertial], [noises], [prior] and [filter] and the keys `seed` and `out`; all but `files` of
-[map] and `file` of [data] have defaults. `motes demo` writes one, with comments, beside a flight that it fits. Paths in the file are
-relative to its folder, those in flags to where the command is called. Writes the same files as `motes demo`.
+Writes to the folder `--out`: for each filter its history as NetCDF and as NPZ, and, where a smoother is named, a table of what that found;
+`summary.json`; the pictures of the application.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from motes.applications.terrain_navigation.settings import Inertial, MapFiles, Noises, Prior, Recording
+from motes.cli.asked import Asked, Run, asked
 from motes.cli.compiled import keep_programs
-from motes.cli.filters import FilterChoice, build
-from motes.cli.options import check_seed, from_file_and_flags
-from motes.cli.own import is_own
+from motes.cli.options import check_seed, refuse
+from motes.cli.records import build
 
-USAGE = "motes run CONFIG.toml"
+if TYPE_CHECKING:
+    from motes.applications.interface import Job
 
-
-@dataclass(frozen=True)
-class Config:
-    """Run a filter on your own map and measurements; CONFIG.toml comes first, flags change single keys of it.
-
-    Attributes:
-        map: the map.
-        data: the measurements.
-        inertial: how the errors of the inertial system are modeled.
-        noises: standard deviations of process and altimeter.
-        prior: standard deviations at the first fix.
-        filter: the filter.
-        seed: of the filter.
-        out: folder for the results.
-    """
-
-    map: MapFiles = MapFiles()
-    data: Recording = Recording()
-    inertial: Inertial = Inertial()
-    noises: Noises = Noises()
-    prior: Prior = Prior()
-    filter: FilterChoice = FilterChoice()
-    seed: int = 0
-    out: str = field(default="out", metadata={"path": True})
+USAGE = "motes run APPLICATION"
+MOST_SCORES = 6
+"""Columns of scores that a table has room for."""
 
 
 def main(words: Sequence[str]) -> None:
-    """Run what the file asks for.
+    """Run what is asked for.
 
     Raises:
-        MotesError: the file, what it names, or an option cannot be used.
+        MotesError: an option, a file or the user's function cannot be used.
     """
-    if is_own(words):
-        from motes.cli import run_own
-
-        return run_own.main(words)
-    config = from_file_and_flags(Config, words, USAGE)
-    check_seed(config.seed)
-    keep_programs()
-    from motes.applications.terrain_navigation import scenario
-    from motes.cli.terrain import fly
-
-    filters = {config.filter.kind: build(config.filter)}
-    flight = scenario.load(config.map, config.data, config.noises, config.prior, config.inertial)
-    folder = fly(flight, filters, config.seed, config, config.out)
+    folder, _ = carried_out(asked(Run, words, USAGE))
     print(f"Results are in {folder}.")
+
+
+def carried_out(wish: Asked) -> "tuple[Path, Job]":
+    """Run filters, print a table, and write histories, a summary and pictures.
+
+    Args:
+        wish: what is asked for.
+
+    Returns:
+        The folder, and what was run.
+
+    Raises:
+        MotesError: the application refuses, a filter does not fit or collapsed, or a file cannot be written.
+    """
+    settings = wish.settings
+    check_seed(settings.seed)
+    keep_programs()
+    from motes.cli import running
+    from motes.filters import keep
+    from motes.smoothers.interface import Smoother
+
+    running.check_written()
+    wish.chosen("filter", "filters")  # names that nobody knows are told before a world is made up
+    smoother = build(Smoother, wish.choices["smoother"], "smoother") if "smoother" in wish.choices else None
+    running.check_folder(settings.out)
+    job = wish.job()
+    if job.ys is None:
+        refuse("data", "a file of measurements", "none", "Give --data FILE, or return 'ys' from the function.")
+    filters = wish.filters(job, "filter", "filters")
+    if job.about():
+        print(job.about())
+    outcomes = running.race(settings.seed, filters, job, keep.laws if smoother else job.keep)
+    histories = {name: outcome.history for name, outcome in outcomes.items()}
+    scores = {name: job.scores(history) for name, history in histories.items()}
+    found = {name: running.results(outcome) | {_key(one): one.value for one in scores[name]} for name, outcome in outcomes.items()}
+    shown = next(iter(scores.values()))[:MOST_SCORES]
+    head = ("filter", "n", *(f"{one.name}, {one.unit}" if one.unit else one.name for one in shown), "ESS", "ms/step")
+    rows = [(name, running.size(outcomes[name].filter),
+             *(running.number(one.value, one.digits) for one in scores[name][:MOST_SCORES]),
+             running.number(found[name]["median_ess"], 0), running.number(found[name]["milliseconds_per_step"], 2))
+            for name in outcomes]  # fmt: skip
+    steps = running.steps(next(iter(histories.values())))
+    running.show(job.title(steps), head, rows)
+    folder = running.made_folder(settings.out)
+    for name, history in histories.items():
+        history.save(folder / f"{name}.nc")
+        history.save(folder / f"{name}.npz")
+        if smoother is not None:
+            running.write_smoothed(folder / f"{name}_smoothed.csv", settings.seed, smoother, job, history)
+    for name, figure in job.pictures(histories).items():
+        running.write_figure(folder / name, figure)
+    running.write_summary(folder / "summary.json", {"application": wish.application.name}, settings, found)
+    for history in histories.values():
+        said = job.verdict(history)
+        if said:
+            print(said)
+    running.told(outcomes)
+    return folder, job
+
+
+def _key(score: Any) -> str:
+    """Return the key of a score in the summary, such as final_error_m."""
+    unit = f"_{score.unit.replace('/', '_per_')}" if score.unit else ""
+    return score.name.replace(" ", "_") + unit

@@ -14,21 +14,24 @@ import jax
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.table import Table as Shown
 
-from motes.core.checks import FileError, refuse
+from motes.applications.interface import Job
+from motes.core.checks import FileError, need, refuse
 from motes.core.progress import is_shown
+from motes.core.record import replace
 from motes.core.watchdog import watched
-from motes.filters import keep
+from motes.filters.data import checked_data, steps_of
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
+from motes.filters.keep import Keep
 from motes.filters.notices import notices
-from motes.filters.run import run, run_in_chunks
+from motes.filters.run import run_in_chunks
 from motes.io.archive import provenance, whole_file
 from motes.io.files import label
+from motes.io.result_table import Table
 from motes.models.state_space import at_step
-from motes.models.times import Timeline
-from motes.smoothers.interface import Smoothed, Smoother
+from motes.smoothers.interface import Smoother
 from motes.smoothers.smooth import smooth
 
 CHUNKS = 20
@@ -48,19 +51,19 @@ class Outcome(NamedTuple):
     seconds_per_step: float | None
 
 
-def race(seed: int, filters: Mapping[str, Filter], model: Any, ys: jax.Array, inputs: Any) -> dict[str, Outcome]:
+def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep) -> dict[str, Outcome]:
     """Run each filter over the same measurements, with a progress bar where the error stream is a terminal.
 
     Args:
         seed: of all filters.
         filters: by name.
-        model: their model.
-        ys: measurements `(t, y)`.
-        inputs: inputs of the model, time axis first.
+        job: model, measurements and inputs.
+        keep: what to keep of each step.
 
     Raises:
         MotesError: a filter does not fit the model, or its weights collapsed.
     """
+    model, (ys, inputs) = job.model, checked_data(job.model, job.ys, job.inputs)
     for one in filters.values():
         one.prepare(model, at_step(inputs, 0))
 
@@ -71,56 +74,52 @@ def race(seed: int, filters: Mapping[str, Filter], model: Any, ys: jax.Array, in
     outcomes, console = {}, Console(stderr=True)
     with Progress(*columns, console=console, disable=not is_shown(console, None)) as progress, watched("motes", standing) as further:
         for name, one in filters.items():
-            task = progress.add_task(name, total=ys.shape[0])
+            task = progress.add_task(name, total=steps_of(ys))
 
             def advance(steps: int, task: TaskID = task) -> None:
                 progress.advance(task, steps)
                 further()
 
-            outcomes[name] = _timed(seed, one, model, ys, inputs, advance)
+            found = _timed(seed, one, model, ys, inputs, keep, advance)
+            outcomes[name] = found if job.times is None else found._replace(history=replace(found.history, times=np.asarray(job.times)))
     return outcomes
 
 
-def _timed(seed: int, filter: Filter, model: Any, ys: jax.Array, inputs: Any, advance: Any) -> Outcome:
-    chunk = math.ceil(ys.shape[0] / CHUNKS)
+def _timed(seed: int, filter: Filter, model: Any, ys: Any, inputs: Any, keep: Keep, advance: Any) -> Outcome:
+    chunk = math.ceil(steps_of(ys) / CHUNKS)
     pieces, times, seen = [], [], set()
     began = time.perf_counter()
-    for number, piece in enumerate(run_in_chunks(seed, filter, model, ys, inputs, chunk=chunk)):
+    for number, piece in enumerate(run_in_chunks(seed, filter, model, ys, inputs, keep, chunk=chunk)):
         jax.block_until_ready(piece)
         now = time.perf_counter()
-        steps = piece.info.ess.shape[0]
+        count = steps(piece)
         # the first chunk, and each new length, are compiled when they are first met
-        if (number > 0, steps) in seen:
-            times.append((now - began) / steps)
-        seen.add((number > 0, steps))
+        if (number > 0, count) in seen:
+            times.append((now - began) / count)
+        seen.add((number > 0, count))
         pieces.append(piece)
-        advance(steps)
+        advance(count)
         began = time.perf_counter()
     return Outcome(filter, joined(pieces), float(np.median(times)) if times else None)
 
 
-def one(seed: int, filter: Filter, model: Any, ys: Any, inputs: Any, laws: bool) -> Outcome:
-    """Run one filter over measurements of any form, in one piece.
-
-    Args:
-        seed: of the filter.
-        filter: the filter.
-        model: the model.
-        ys: measurements as `run` takes them.
-        inputs: inputs of the model, time axis first.
-        laws: whether laws are kept, for a smoother.
-    """
-    began = time.perf_counter()
-    history = run(seed, filter, model, ys, inputs, keep.laws if laws else keep.moments)
-    jax.block_until_ready(history.info)
-    return Outcome(filter, history, (time.perf_counter() - began) / history.info.ess.shape[0])
+def steps(history: History) -> int:
+    """Return the number of steps of a run."""
+    return history.info.ess.shape[0]
 
 
-def smoothed(seed: int, smoother: Smoother, model: Any, history: History, given: Mapping[str, Any]) -> Smoothed:
-    """Smooth what was filtered."""
-    line = given["ys"]
-    ys, inputs = (line.ys, line.inputs) if isinstance(line, Timeline) else (line, given.get("inputs"))
-    return smooth(seed + 1, smoother, model, history, ys, inputs)
+def size(filter: Filter) -> str:
+    """Return the number of particles of a filter as a table shows it; a dash where it has none."""
+    return str(vars(filter).get("n", "-"))
+
+
+def write_smoothed(path: Path, seed: int, smoother: Smoother, job: Job, history: History) -> None:
+    """Smooth what was filtered, and write means and standard deviations as a table."""
+    found = smooth(seed + 1, smoother, job.model, history, job.ys, job.inputs)
+    spread = np.sqrt(np.diagonal(np.asarray(found.cov), axis1=1, axis2=2))
+    columns = ("step", *found.names, *(f"sd {name}" for name in found.names))
+    both = np.concatenate([np.asarray(found.mean), spread], axis=1)
+    Table(columns, tuple((step, *map(float, row)) for step, row in enumerate(both))).save(path)
 
 
 def results(outcome: Outcome) -> dict[str, Any]:
@@ -144,7 +143,7 @@ def told(outcomes: Mapping[str, Outcome]) -> None:
 
 def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table; the first column is text, the others are numbers."""
-    table = Table(title=title, title_justify="left")
+    table = Shown(title=title, title_justify="left")
     for place, name in enumerate(head):
         table.add_column(name, justify="left" if place == 0 else "right", no_wrap=True)
     for row in rows:
@@ -155,6 +154,16 @@ def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None
 def number(value: float | None, digits: int) -> str:
     """Return a number as a table shows it; a dash where there is none."""
     return "-" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+
+
+def check_written() -> None:
+    """Refuse, before the work and not after it, where a module is missing that writes results.
+
+    Raises:
+        MissingExtraError: one is.
+    """
+    for module in ("matplotlib.figure", "xarray", "h5netcdf"):
+        need(module, "results")
 
 
 def check_folder(path: str) -> None:
@@ -193,9 +202,9 @@ def made_folder(path: str) -> Path:
     return place
 
 
-def write_summary(path: Path, settings: Any, found: dict[str, Any]) -> None:
+def write_summary(path: Path, source: dict[str, Any], settings: Any, found: dict[str, Any]) -> None:
     """Write a JSON file with where the results come from, all settings, and the results; numbers that are not finite become null."""
-    content = {"provenance": provenance(), "settings": dataclasses.asdict(settings), "results": found}
+    content = {"provenance": provenance(), **source, "settings": dataclasses.asdict(settings), "results": found}
     write_text(path, json.dumps(_finite(content), indent=2, allow_nan=False) + "\n")
 
 

@@ -10,7 +10,7 @@ from motes.core.findings import Diagnosis, Finding
 from motes.diagnostics.consistency import chi_square_band, nees
 from motes.diagnostics.undeclared import undeclared_angles
 from motes.diagnostics.weights import TRUSTED, pareto_k, surviving_ancestors
-from motes.filters import notices
+from motes.filters import alarm, notices
 from motes.filters.history import History
 
 FAR = 12.5
@@ -67,6 +67,7 @@ def _innovations(history: History) -> list[Finding]:
         return [Finding("lost", text, "More process noise, a model that can move so, or more particles; start anew there.", True)]
     used = ~(np.asarray(history.info.collapsed) | (np.asarray(history.info.gated) > 0))
     nis, freedom = (np.asarray(each, np.float64)[used] for each in (history.info.nis, history.info.freedom))
+    nis = np.minimum(nis, alarm.largest_square(freedom)) if history.weighs else nis
     degrees = int(freedom.sum())
     if degrees < 1:
         return []

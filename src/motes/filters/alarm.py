@@ -47,9 +47,9 @@ class Innovation(NamedTuple):
     freedom: jax.Array
 
 
-def advanced(total: jax.Array, square: jax.Array, freedom: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the cumulative sum after one more measurement, and whether the alarm rings."""
-    after = jnp.maximum(total + gain(square, freedom), 0)
+def advanced(total: jax.Array, square: jax.Array, freedom: jax.Array, y: Any) -> tuple[jax.Array, jax.Array]:
+    """Return the cumulative sum after one more measurement y, and whether the alarm rings."""
+    after = jnp.maximum(total + gain(square, freedom, _most(freedom, y)), 0)
     rings = after > THRESHOLD
     return jnp.where(rings, 0, after), rings
 
@@ -66,10 +66,28 @@ def advanced_in_parallel(square: jax.Array, freedom: jax.Array) -> tuple[jax.Arr
     return jnp.minimum(jnp.maximum(shift, least)[-1], THRESHOLD), over & ~jnp.concatenate([jnp.zeros((1,), bool), over[:-1]])
 
 
-def gain(square: jax.Array, freedom: jax.Array) -> jax.Array:
+def gain(square: jax.Array, freedom: jax.Array, most: Any = MOST) -> jax.Array:
     """Log likelihood ratio of innovations as wide as the alarm is made for; a square that is not a number counts as the largest."""
     ratio = 0.5 * (1 - 1 / WIDER) * square - 0.5 * np.log(WIDER) * freedom
-    return jnp.where(freedom > 0, jnp.where(ratio < MOST, ratio, MOST), 0)
+    return jnp.where(freedom > 0, jnp.where(ratio < most, ratio, most), 0)
+
+
+def largest_square(freedom: Any) -> Any:
+    """Return the largest square that counts in an average over steps, about that which counts in the sum: one wild step is not many."""
+    most = MOST * (freedom / np.maximum(np.ceil(freedom), 1)) ** 3
+    return (most + 0.5 * np.log(WIDER) * freedom) / (0.5 * (1 - 1 / WIDER))
+
+
+def _most(freedom: jax.Array, y: Any) -> jax.Array:
+    """Nats that a measurement y can add: fewer where `freedom` lacks something of the number of its components.
+
+    Heavier tails than a Gaussian's, which is what the lack is a sign of, are seen by few particles: the further they go, the less one
+    measurement may tell.
+    """
+    if isinstance(y, Observed):
+        return jnp.asarray(MOST, freedom.dtype)
+    seen = jnp.sum(~jnp.isnan(y), dtype=freedom.dtype)
+    return MOST * jnp.minimum(freedom / jnp.maximum(seen, 1), 1) ** 3
 
 
 def unknown(dtype: Any) -> Innovation:
@@ -159,9 +177,7 @@ def of_mixture(
     variance = second - size**2 + 2 * size * (size + 2) * share**2 / count
     wider = jnp.maximum(variance / (2 * size), 1)
     freedom = jnp.sum(seen, dtype=y.dtype) / wider
-    # heavier tails than a Gaussian's are seen by few particles: the further they go, the less one measurement may tell
-    most = (MOST / wider**3 + 0.5 * np.log(WIDER) * freedom) / (0.5 * (1 - 1 / WIDER))
-    square = jnp.minimum(square / (wider * (1 + share / count)), most)
+    square = square / (wider * (1 + share / count))
     # a cloud so uneven that the particles asked have none of its weight predicts nothing: its starvation is told otherwise
     known = spread.count > TOO_FEW if drawn else jnp.ones((), bool)
     return Innovation(jnp.where(known, square, 0), jnp.where(known, freedom, 0))

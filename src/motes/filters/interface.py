@@ -1,6 +1,7 @@
 """The contract of a filter: a frozen record of its own parameters that maps a law to a law. The model is an argument, never a field."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -57,7 +58,7 @@ class Filter(ABC):
     """Whether functions of the model get more inputs than the user gives, which are then a dictionary or None."""
     descends: ClassVar[bool] = True
     """Whether each particle came from the one that it names as its ancestor; not so where nodes stay or members are moved by all others."""
-    gate: ClassVar[float | None] = None
+    gate: ClassVar[Any] = None
     """Probability with which a measurement lies inside the gate where the filter's claims are right; None for no gate. A field of some."""
     guide: ClassVar[Guide]
     """What it needs, costs and is good for."""
@@ -69,9 +70,17 @@ class Filter(ABC):
             MotesError: a parameter has a value it cannot have; the message names it.
         """
         checks.option(f"{type(self).__name__} on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
-        if self.gate is not None and not (isinstance(self.gate, float) and 0 < self.gate < 1):
-            checks.refuse(f"{type(self).__name__} gate", "a probability between 0 and 1, such as 0.9999, or None", repr(self.gate))
+        if isinstance(self.gate, Mapping):
+            object.__setattr__(self, "gate", tuple(self.gate.items()))
+        for gate in (one for _, one in self.gate) if isinstance(self.gate, tuple) else [] if self.gate is None else [self.gate]:
+            if not (isinstance(gate, float) and 0 < gate < 1):
+                expected = "a probability between 0 and 1, such as 0.9999, a dictionary of such by sensor, or None"
+                checks.refuse(f"{type(self).__name__} gate", expected, repr(gate))
         self.check_parameters()
+
+    def with_gate(self, gate: float | None) -> "Filter":
+        """Return the same filter with another gate."""
+        return replace(self, gate=gate)
 
     @property
     def loses_derivatives(self) -> bool:

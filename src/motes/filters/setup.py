@@ -7,9 +7,9 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.logspace import RunningSum
-from motes.core.record import record, replace, values
+from motes.core.record import record, replace, static, values
 from motes.core.types import Inputs
-from motes.filters import alarm
+from motes.filters import alarm, gated
 from motes.filters.history import Carry
 from motes.filters.info import Info
 from motes.filters.interface import Filter
@@ -31,6 +31,7 @@ class Setup:
         given: the user's model.
         model: the same in the filter's own form, its noises independent.
         drive: what makes the inputs of that form of the user's.
+        gates: of several sensors, each with its place in the measurement; see `gated`.
     """
 
     key: jax.Array
@@ -38,6 +39,7 @@ class Setup:
     given: Model
     model: Any
     drive: Drive
+    gates: gated.Gates = static(default=())
 
     def start(self, u: Inputs, y: Any) -> Carry:
         """Return the law before y_0; of y only shape and type matter."""
@@ -49,8 +51,9 @@ class Setup:
         """Take in a measurement of the present step."""
         u = self.drive.of(carry.u, carry.u, carry.y)
         key = random.child(random.step_key(self.key, carry.step), random.UPDATE)
-        state, info = self.filter.update(key, self.model, carry.state, y, u, carry.step)
-        return self._handed_on(carry, state, info, y, carry.u, carry.step)
+        t = carry.step
+        state, info = gated.taken(self.filter, self.gates, y, lambda filter, y: filter.update(key, self.model, carry.state, y, u, t))
+        return self._handed_on(carry, state, info, y, carry.u, t)
 
     def begin(self, y: Any, u: Inputs) -> tuple[Carry, Info]:
         """Take step 0."""
@@ -67,13 +70,12 @@ class Setup:
         """Go to the next step and take in its measurement."""
         carry, y, u = _apart((carry, y, u))
         t = carry.step + 1
-        state, info = self.filter.step(
-            random.step_key(self.key, t), self.model, carry.state, y, self.drive.of(u, carry.u, carry.y), t
-        )
+        key, driven = random.step_key(self.key, t), self.drive.of(u, carry.u, carry.y)
+        state, info = gated.taken(self.filter, self.gates, y, lambda filter, y: filter.step(key, self.model, carry.state, y, driven, t))
         return _apart(self._handed_on(carry, state, info, y, u, t))
 
     def _handed_on(self, carry: Carry, state: Any, info: Info, y: Any, u: Inputs, t: jax.Array) -> tuple[Carry, Info]:
-        suspicion, rings = alarm.advanced(carry.suspicion, info.nis, info.freedom)
+        suspicion, rings = alarm.advanced(carry.suspicion, info.nis, info.freedom, y)
         evidence = carry.evidence.add(info.log_evidence)
         return Carry(self._gathered(state), evidence, suspicion, y, u, t), replace(info, alarm=rings)
 
@@ -100,7 +102,7 @@ def setup(key: jax.Array, filter: Filter, model: Model, u: Inputs, y: Any) -> Se
         checks.refuse("ys", f"shape (t, {model.measurement_size(u)}), as the sensor measures", f"{y.shape[0]} components")
     independent, drive = model.independent()
     driven = drive.of(u, u, nothing_like(y))
-    return Setup(key, filter, model, filter.prepare(looked_at(independent, driven, y), driven), drive)
+    return Setup(key, filter, model, filter.prepare(looked_at(independent, driven, y), driven), drive, gated.gates_of(filter, model))
 
 
 def carry_like(filter: Filter, model: Model, u: Inputs, y: Any) -> Carry:

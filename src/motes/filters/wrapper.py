@@ -72,6 +72,15 @@ class Wrapper(Filter):
         return replace(self.filter, on_collapse=self.on_collapse)
 
     @property
+    def gate(self) -> Any:  # type: ignore[override]
+        """That of the inner filter."""
+        return self.filter.gate
+
+    def with_gate(self, gate: float | None) -> "Wrapper":
+        """Return the same wrapper around the inner filter with another gate."""
+        return replace(self, filter=self.filter.with_gate(gate))
+
+    @property
     def adds_inputs(self) -> bool:  # type: ignore[override]
         """Whether the inner filter does."""
         return self.filter.adds_inputs

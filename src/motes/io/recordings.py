@@ -4,10 +4,13 @@ Source of the form: Djugash, Hamner, Roth, "Navigating with ranging radios: five
 """
 
 import os
+from pathlib import Path
 
 import numpy as np
+from scipy.io import savemat
 
 from motes.core.record import record, static
+from motes.io.archive import whole_file
 from motes.io.files import label, reject
 from motes.io.matlab import read_matrices
 
@@ -81,3 +84,13 @@ def _check_ranges(path: str | os.PathLike[str], truth: np.ndarray, ranges: np.nd
     bad = (ranges[:, 0] < truth[0, 0]) | (ranges[:, 0] > truth[-1, 0])
     if bad.any():
         reject(path, "times in TD within those of GT", f"{ranges[np.argmax(bad), 0]} in row {int(np.argmax(bad)) + 1}")
+
+
+def write_plaza(path: str | os.PathLike[str], recording: RangeOnlyRecording) -> None:
+    """Write a recording as `read_plaza` reads it, whole or not at all."""
+    drifting = np.column_stack([recording.truth[:, 0], recording.drifting_path, recording.truth[:, 3]])
+    times, ids, ranges = recording.ranges.T
+    log = np.column_stack([times, np.zeros(len(times)), ids, ranges])
+    matrices = {"GT": recording.truth, "DR": recording.odometry, "DRp": drifting, "TD": log, "TL": recording.beacons}
+    with whole_file(Path(path)) as file:
+        savemat(file, matrices, do_compression=True)

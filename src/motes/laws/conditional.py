@@ -52,6 +52,8 @@ class Conditional(ABC):
     """Whether single missing (NaN) components can be left out of the density."""
     measures_anything: bool = False
     """Whether measurements may be other than vectors: arrays of any shape and type, or trees of them."""
+    sensors: tuple[tuple[str, int], ...] = ()
+    """Names of several sensors whose components follow each other, and how many each has; none where it is one sensor."""
 
     def of_states(self, names: tuple[str, ...]) -> "Conditional":
         """Return the same for a model whose states have these names; conditionals that name states look them up here."""

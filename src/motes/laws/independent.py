@@ -18,8 +18,8 @@ def Independent(**sensors: Conditional) -> Conditional:  # noqa: N802 (makes a c
     """Return the sensor of a model that has several, whose noises are independent given the state.
 
     Measurements are then dictionaries by name, time axis first: `{"radar": (t, 2), "camera": (t, 640, 480)}`; a sensor that is left out, or
-    is NaN in a row, measured nothing there. Each has angles of its own. Where all noises are Gaussian with constant covariances, every
-    filter takes it, Kalman filters too; otherwise those that weigh by a density.
+    is NaN in a row, measured nothing there. Each has angles of its own, and a filter's `gate` holds for each alone. Where all noises are
+    Gaussian with constant covariances, every filter takes it, Kalman filters too; otherwise those that weigh by a density.
 
     Args:
         sensors: each sensor by its name.
@@ -59,6 +59,11 @@ class Stacked(AdditiveGaussian):
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 
+    @property
+    def sensors(self) -> tuple[tuple[str, int], ...]:  # type: ignore[override]
+        """Names and sizes of the sensors."""
+        return tuple((name, part.Q.shape[0]) for name, part in zip(self.of_parts, self.parts, strict=True))  # type: ignore[union-attr]
+
     def mean(self, x: jax.Array, u: Any, t: Any) -> jax.Array:
         """Mean given one state, `(y,)`."""
         return jnp.concatenate([part.mean(x, u, t) for part in self.parts])
@@ -71,7 +76,7 @@ class Stacked(AdditiveGaussian):
         """Return measurements by name as an array, time axis first."""
         if not isinstance(ys, Mapping):
             return ys
-        sizes = {name: part.Q.shape[0] for name, part in zip(self.of_parts, self.parts, strict=True)}  # type: ignore[union-attr]
+        sizes = dict(self.sensors)
         unknown = [name for name in ys if name not in sizes]
         if unknown or not ys:
             checks.refuse("ys", f"measurements of {', '.join(sizes)}", repr(unknown[0]) if unknown else "none")

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from motes.applications.terrain_navigation.settings import Prior, Recording
+from motes.applications.terrain.settings import Prior, Recording
 from motes.core import checks
 from motes.core.record import replace
 from motes.io.tables import Columns, read_table

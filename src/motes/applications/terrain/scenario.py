@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.terrain_navigation.coverage import check_covered, over_map, without_far_voids
-from motes.applications.terrain_navigation.cruise import Cruise, cruise_of
-from motes.applications.terrain_navigation.model import Track, corrected, error_model
-from motes.applications.terrain_navigation.recording import check_recording, check_steps, check_units, local, misreadings, read_recording
-from motes.applications.terrain_navigation.settings import (
+from motes.applications.terrain.coverage import check_covered, over_map, without_far_voids
+from motes.applications.terrain.cruise import Cruise, cruise_of
+from motes.applications.terrain.model import Track, corrected, error_model
+from motes.applications.terrain.recording import check_recording, check_steps, check_units, local, misreadings, read_recording
+from motes.applications.terrain.settings import (
     FIRST,
     INERTIAL,
     NOISES,
@@ -142,7 +142,7 @@ def load_map(files: MapFiles) -> TerrainMap:
     return _bounded(terrain_map(mosaic([read_raster(file, nodata=files.nodata) for file in files.files])), files.outside)
 
 
-def load(
+def loaded(
     files: MapFiles, recording: Recording, noises: Noises = NOISES, prior: Prior = PRIOR, kind: Inertial = INERTIAL
 ) -> Flight:
     """Load a recorded flight.

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.terrain_navigation.model import Track, altimeter, unaided
+from motes.applications.terrain.model import Track, altimeter, unaided
 from motes.core import checks
 from motes.core.record import replace
 from motes.models.state_space import StateSpaceModel

@@ -10,12 +10,12 @@ import scipy.io
 
 import motes as mo
 from data import recorded, refused
-from motes.applications.range_only import scenario as job
-from motes.applications.range_only.model import DriveNoise, Step
+from motes.applications.robot import scenario as job
+from motes.applications.robot.model import DriveNoise, Step
+from motes.applications.robot.pictures import robot_figure
 from motes.core.record import replace
 from motes.io.matlab import read_matrices
 from motes.io.recordings import RangeOnlyRecording, read_plaza
-from motes.plotting.robot import robot_figure
 from tiers import each
 
 BEACONS = np.array([[0, -15.0, 5.0], [1, 12.0, -9.0], [6, 16.0, 14.0], [5, -8.0, 20.0]])
@@ -59,7 +59,7 @@ def file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run_of_file(file):
-    scenario = job.load(file, "drifting")
+    scenario = job.loaded(file, "drifting")
     filter = mo.MarginalizedParticleFilter(n=300, linear=LINEAR)
     return scenario, mo.run(1, filter, scenario.model, scenario.ys, scenario.inputs)
 
@@ -189,7 +189,7 @@ def test_no_reading_is_lost(file):
 
 
 def test_ranges_before_the_first_motion_are_left_out(file):
-    scenario = job.load(file)
+    scenario = job.loaded(file)
     begins = scenario.times[scenario.scored[25]]
     assert np.isnan(scenario.ys[scenario.times <= begins]).all()
     recording = read_plaza(file)
@@ -198,13 +198,13 @@ def test_ranges_before_the_first_motion_are_left_out(file):
 
 def test_odometry(file):
     recording = read_plaza(file)
-    recorded_turns, drifting = job.load(file), job.load(file, "drifting")
+    recorded_turns, drifting = job.loaded(file), job.loaded(file, "drifting")
     assert np.allclose(recorded_turns.dead_reckoning, recorded_turns.truth[:, :2], atol=1e-6)
     assert np.hypot(*(drifting.dead_reckoning - recording.drifting_path).T).max() < 1
     assert np.hypot(*(drifting.dead_reckoning - drifting.truth[:, :2]).T).max() > 2
     assert np.isclose(np.sum(drifting.inputs.forward), recording.odometry[:, 1].sum())
     with pytest.raises(mo.MotesError) as error:
-        job.load(file, "perfect")
+        job.loaded(file, "perfect")
     refused(error, "odometry", "perfect")
 
 
@@ -216,7 +216,7 @@ def test_noise_of_a_step_cut_in_two_is_the_same():
 
 
 def test_structure_is_discovered(file):
-    scenario = job.load(file)
+    scenario = job.loaded(file)
     step = jax.tree.map(lambda leaf: leaf[1], scenario.inputs)
     found = mo.structure(scenario.model, step)
     assert [found.names[i] for i in found.linear] == ["gyro_bias", "scale", "offset"]
@@ -256,7 +256,7 @@ def _scores(keys, scenario):
 @pytest.mark.parametrize(("odometry", "rms"), [("recorded", 0.45), pytest.param("drifting", 0.85, marks=pytest.mark.night)])
 def test_recorded_run(odometry, rms):
     """With 300 particles; over 12 seeds the drifting run has a mean of 0.60 m and a spread of 0.13 m (benchmarks/accuracy.py: 1 000)."""
-    scenario = job.load(recorded("robot/Plaza1_.mat"), odometry)
+    scenario = job.loaded(recorded("robot/Plaza1_.mat"), odometry)
     assert scenario.ys.shape == (13186, 4) and (~np.isnan(scenario.ys)).sum() == 3458
     found = _scores(jax.random.split(jax.random.key(2), 3), scenario)
     assert jnp.mean(found.rms) < rms and jnp.max(found.rms) < 1.1
@@ -317,7 +317,7 @@ def test_outliers_are_a_setting(file):
     assert job.score(run(plain), plain).rms > 1.0
     for share in (-0.1, 0.6, np.nan):
         with pytest.raises(mo.MotesError) as error:
-            job.load(file, outliers=share)
+            job.loaded(file, outliers=share)
         refused(error, "outliers")
 
 
@@ -330,7 +330,7 @@ def test_an_unknown_start_is_a_setting(file):
         assert (np.abs(place - recording.truth[0, 1:3]) < 3 * sd).all() and sd.max() < 10
     assert job.score(run(made, n=3000), made).rms < 0.6
     with pytest.raises(mo.MotesError) as error:
-        job.load(file, start="somewhere")
+        job.loaded(file, start="somewhere")
     refused(error, "start", "'somewhere'")
 
 

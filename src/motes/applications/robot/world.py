@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from motes.applications.range_only.scenario import dead_reckoning
+from motes.applications.robot.scenario import dead_reckoning
 from motes.core import checks
 from motes.io.recordings import RangeOnlyRecording
 

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import chi2
 
-from motes.applications.terrain_navigation.model import Track, places_of
-from motes.applications.terrain_navigation.scenario import LOST, Flight
+from motes.applications.terrain.model import Track, places_of
+from motes.applications.terrain.scenario import LOST, Flight
 from motes.bounds.at_truth import kalman_at_truth
 from motes.core.progress import tracked
 from motes.core.record import replace

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.terrain_navigation.settings import Prior
+from motes.applications.terrain.settings import Prior
 from motes.core import checks
 from motes.laws.conditional import LinearGaussian
 from motes.models import inertial

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.terrain_navigation.model import NoiseOverVoids, Track, places_of, unaided
+from motes.applications.terrain.model import NoiseOverVoids, Track, places_of, unaided
 from motes.bounds.at_truth import kalman_at_truth
 from motes.core import linalg
 from motes.core.loop import loop

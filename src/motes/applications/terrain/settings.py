@@ -133,5 +133,24 @@ class Route:
 
 
 FIRST = Route()
-ROUTES = {"first": FIRST, "second": Route(north=9000.0, east=2500.0, heading=60.0)}
-"""Two flights over the map that matplotlib ships."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Find an aircraft by its radio altimeter over relief; without files a flight over the map that matplotlib ships is made up.
+
+    Attributes:
+        map: the map.
+        data: the measurements; a flight along the route is made up where no file is named.
+        inertial: how the errors of the inertial system are modeled.
+        noises: standard deviations of process and altimeter.
+        prior: standard deviations at the first fix.
+        route: the flight that is made up.
+    """
+
+    map: MapFiles = MapFiles()
+    data: Recording = Recording()
+    inertial: Inertial = INERTIAL
+    noises: Noises = NOISES
+    prior: Prior = PRIOR
+    route: Route = FIRST

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.range_only.fix import LOOK, located
-from motes.applications.range_only.model import DriveNoise, Step, range_only_model
+from motes.applications.robot.fix import LOOK, located
+from motes.applications.robot.model import DriveNoise, Step, range_only_model
 from motes.core import checks
 from motes.core.findings import Diagnosis, Finding
 from motes.core.record import record
@@ -84,7 +84,7 @@ class Score(NamedTuple):
     scale_sd: jax.Array
 
 
-def load(path: str | os.PathLike[str], odometry: str = "recorded", outliers: float = 0.0, start: str = "known") -> Scenario:
+def loaded(path: str | os.PathLike[str], odometry: str = "recorded", outliers: float = 0.0, start: str = "known") -> Scenario:
     """Read a recording and make it a job.
 
     Args:

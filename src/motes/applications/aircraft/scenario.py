@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.aircraft_tracking.model import Radar
+from motes.applications.aircraft.model import Radar
 from motes.core import checks
 from motes.core.record import record
 from motes.io.tables import read_table
@@ -99,7 +99,22 @@ def read_path(
     for name, value in (("start", start), ("radar east", radar[0]), ("radar north", radar[1])):
         checks.finite(name, value)
     checks.above_zero("duration", duration)
-    time, latitude, longitude, speed, track = _flown(file, start, duration)
+    return path_of(*_flown(file, start, duration), radar)
+
+
+def path_of(
+    time: np.ndarray, latitude: np.ndarray, longitude: np.ndarray, speed: np.ndarray, track: np.ndarray, radar: tuple[float, float] = RADAR
+) -> Path:
+    """Lay reports out on a plane and smooth them; see `read_path`.
+
+    Args:
+        time: seconds, `(r,)`, as all of the reports.
+        latitude: degrees.
+        longitude: degrees.
+        speed: over ground, knots.
+        track: degrees from north, clockwise.
+        radar: east and north of the radar from the middle of the flight, meters.
+    """
     middle = np.median(latitude), np.median(longitude)
     shrink = np.cos(np.radians(middle[0]))
     east = EARTH * shrink * np.radians(wrapped_degrees(longitude - middle[1])) - radar[0]

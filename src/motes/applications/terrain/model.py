@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.terrain_navigation.cruise import Cruise, along_axes, deviations, dynamics
-from motes.applications.terrain_navigation.settings import INERTIAL, NOISES, PRIOR, Inertial, Noises, Prior
+from motes.applications.terrain.cruise import Cruise, along_axes, deviations, dynamics
+from motes.applications.terrain.settings import INERTIAL, NOISES, PRIOR, Inertial, Noises, Prior
 from motes.bounds.at_truth import kalman_at_truth
 from motes.core import checks
 from motes.core.record import record, replace, static, values

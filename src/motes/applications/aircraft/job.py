@@ -1,0 +1,93 @@
+"""The airliner as an application: `motes demo aircraft`, and `motes run`, `motes plan` and `motes study` of its settings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from motes.applications.aircraft import scenario
+from motes.applications.aircraft.model import Flight, Radar, jumping
+from motes.applications.aircraft.pictures import track_figure
+from motes.applications.aircraft.settings import Settings
+from motes.applications.aircraft.world import Reports, flown_reports
+from motes.applications.interface import Job, Score
+from motes.filters import keep
+from motes.filters.history import History
+from motes.filters.interacting_multiple_model import InteractingMultipleModel
+from motes.filters.jump_markov import JumpMarkovFilter
+from motes.io.archive import whole_file
+from motes.plotting.plot import plot
+
+FILE = "reports.csv"
+
+
+def load(settings: Settings, seed: int) -> "AircraftJob":
+    """Read the recording that the settings name, or make a flight up, and draw radar plots along it.
+
+    Args:
+        settings: of the application.
+        seed: of the plots, and of a flight that is made up.
+
+    Raises:
+        FileError: the file cannot be used.
+        MotesError: a setting cannot be used.
+    """
+    site, radar = (settings.site.east, settings.site.north), Radar(settings.plots.distance, settings.plots.azimuth)
+    reports = None if settings.data else flown_reports(seed, settings.duration)
+    if reports is None:
+        path = scenario.read_path(settings.data, settings.begin, settings.duration, site)
+    else:
+        path = scenario.path_of(*reports, site)
+    track = scenario.track(path, seed, settings.plots.steps, radar)
+    return AircraftJob(
+        model=jumping(track.start, Flight(), radar), ys=jnp.asarray(track.ys), inputs=jnp.asarray(track.dt), track=track, reports=reports,
+        times=np.cumsum(np.asarray(track.dt, np.float64)), keep=keep.modes,
+        filters={"jump_markov": JumpMarkovFilter(n=200, sampled=("turn",)), "interacting": InteractingMultipleModel()},
+        counted=("east", "north"), blocks={"position": ("east", "north"), "velocity": ("v_east", "v_north")},
+        lost=("position", scenario.LOST),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AircraftJob(Job):
+    """A flight seen by radar.
+
+    Attributes:
+        track: what the tracker gets, and the truth.
+        reports: those of a flight that was made up; otherwise None.
+    """
+
+    track: scenario.Track
+    reports: Reports | None
+
+    def title(self, steps: int) -> str:
+        """Return how many plots there were."""
+        seen = int((~np.isnan(np.asarray(self.ys)).any(axis=1)).sum())
+        return f"{seen} plots in {steps} steps over {self.times[-1]:.0f} s"
+
+    def scores(self, history: History) -> tuple[Score, ...]:
+        """Judge a run by the true path."""
+        found = scenario.score(jnp.asarray(history.mean), self.track)
+        return (Score("position", float(found.position), "m", 1), Score("velocity", float(found.velocity), "m/s", 2),
+                Score("worst", float(found.worst), "m", 0))  # fmt: skip
+
+    def verdict(self, history: History) -> str:
+        """Say nothing: the table tells all."""
+        return ""
+
+    def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
+        """Draw the plane with error and turns, and the states."""
+        history = next(iter(histories.values()))
+        return {"track.png": track_figure(history, self.track), "states.png": plot(history)}
+
+    def written(self, folder: Path, settings: Settings) -> Settings:
+        """Write the reports of a flight that was made up."""
+        if self.reports is None:
+            return settings
+        lines = [",".join(Reports._fields), *(",".join(repr(float(value)) for value in row) for row in zip(*self.reports, strict=True))]
+        with whole_file(folder / FILE) as file:
+            file.write(("\n".join(lines) + "\n").encode())
+        return replace(settings, data=str(folder / FILE))

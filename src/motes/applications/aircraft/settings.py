@@ -1,0 +1,51 @@
+"""What a user can set of the aircraft's job, and the numbers of its model, as records without arrays."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where the radar stands, from the middle of the flight.
+
+    Attributes:
+        east: meters.
+        north: meters.
+    """
+
+    east: float = -25e3
+    north: float = -20e3
+
+
+@dataclass(frozen=True)
+class Plots:
+    """The plots that are drawn along the flight, at intervals of 1 to 5 s.
+
+    Attributes:
+        distance: standard deviation of the range, m.
+        azimuth: of the azimuth, radians.
+        steps: most plots.
+    """
+
+    distance: float = 30.0
+    azimuth: float = 1e-3
+    steps: int = 1_600
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Follow an airliner by radar through its turns.
+
+    Attributes:
+        data: a recording of ADS-B reports (CSV, JSON or Parquet, also gzipped) with the columns timestamp, latitude, longitude (degrees),
+            groundspeed (knots) and track (degrees from north); a flight is made up where no file is named.
+        begin: of the part that is flown, seconds since the first report.
+        duration: of that part, or of a flight that is made up, seconds.
+        site: the radar.
+        plots: what it measures.
+    """
+
+    data: str = field(default="", metadata={"path": True})
+    begin: float = 0.0
+    duration: float = 4800.0
+    site: Site = Site()
+    plots: Plots = Plots()

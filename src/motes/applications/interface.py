@@ -1,0 +1,94 @@
+"""What an application is: a folder here with `settings.py` and `job.py`, found by its name.
+
+`settings.py` has `Settings`, a frozen dataclass whose fields all have defaults: the tables of a TOML file and the flags of a command are
+its fields, and their help is its docstring. It imports no JAX, so that `--help` answers at once. `job.py` has `load(settings, seed)`, which
+gives a `Job`: it reads the user's files where the settings name some, and otherwise makes a world of its own from the seed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from motes.filters import keep as keeping
+from motes.filters.history import History
+from motes.filters.interface import Filter
+from motes.filters.keep import Keep
+from motes.laws.circular import wrap
+from motes.models.interface import Model
+from motes.plotting.plot import plot
+
+
+class Score(NamedTuple):
+    """One number that judges a run.
+
+    Attributes:
+        name: such as "final error".
+        value: None where there is none.
+        unit: such as "m"; "" where it has none.
+        digits: after the point, in tables.
+    """
+
+    name: str
+    value: float | None
+    unit: str = ""
+    digits: int = 2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Job:
+    """A model with its measurements, ready for filters, and what is told of their runs; applications of more to tell derive from it.
+
+    Attributes:
+        model: the model.
+        ys: measurements, time axis first; None of a job that is only planned or studied.
+        inputs: of the model, time axis first; or None.
+        truth: true states `(t, x)`; None where they are not known.
+        times: of the steps, seconds, `(t,)`; None where steps are only numbered.
+        filters: those that run where the user names none, by name; the pictures show the first.
+        keep: what is kept of each step, with mean and covariance at least.
+        counted: states of one unit that a plan counts; all if none is named.
+        blocks: states that a study tells errors of together, as in `Experiment`.
+        lost: when a study counts a run as lost, as in `Experiment`.
+    """
+
+    model: Model
+    ys: Any = None
+    inputs: Any = None
+    truth: Any = None
+    times: Any = None
+    filters: Mapping[str, Filter] = field(default_factory=dict)
+    keep: Keep = keeping.moments
+    counted: tuple[str, ...] = ()
+    blocks: Mapping[str, tuple[str, ...]] | None = None
+    lost: tuple[str, float] | None = None
+
+    def about(self) -> str:
+        """Return what is to be said before filters run; "" for nothing."""
+        return ""
+
+    def title(self, steps: int) -> str:
+        """Return what stands over the table of runs."""
+        return f"{steps} steps" + ("; errors are root mean squares" if self.truth is not None else "")
+
+    def scores(self, history: History) -> tuple[Score, ...]:
+        """Judge a run."""
+        if self.truth is None:
+            return ()
+        errors = np.asarray(wrap((np.asarray(history.mean) - np.asarray(self.truth)).T, self.model.circular))
+        return tuple(Score(f"rms {name}", float(np.sqrt(np.mean(errors[place] ** 2))), digits=4)
+                     for place, name in enumerate(history.names))  # fmt: skip
+
+    def verdict(self, history: History) -> str:
+        """Return what is said of a run after the table; "" for nothing."""
+        return str(history)
+
+    def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
+        """Return matplotlib figures of runs by the name of their file."""
+        return {"states.png": plot(next(iter(histories.values())), truth=self.truth)}
+
+    def written(self, folder: Path, settings: Any) -> Any:
+        """Write what was made up as a user's own files would come, and return the settings that name them by their full paths."""
+        return settings

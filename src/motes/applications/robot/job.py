@@ -1,0 +1,82 @@
+"""The robot among beacons as an application: `motes demo robot`, and `motes run`, `motes plan` and `motes study` of its settings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+
+from motes.applications.interface import Job, Score
+from motes.applications.robot import scenario
+from motes.applications.robot.pictures import robot_figure
+from motes.applications.robot.settings import Settings
+from motes.applications.robot.world import simulated
+from motes.filters.history import History
+from motes.filters.marginalized import MarginalizedParticleFilter
+from motes.io.recordings import read_plaza, write_plaza
+from motes.plotting.plot import plot
+
+FILE = "recording.mat"
+
+
+def load(settings: Settings, seed: int) -> "RobotJob":
+    """Read the recording that the settings name, or make one up.
+
+    Args:
+        settings: of the application.
+        seed: of a recording that is made up.
+
+    Raises:
+        FileError: the file cannot be used.
+        MotesError: a setting cannot be used.
+    """
+    recording = read_plaza(settings.data) if settings.data else simulated(seed, settings.seconds)
+    made = scenario.of_recording(recording, settings.odometry, settings.outliers, settings.start)
+    return RobotJob(
+        model=made.model, ys=jnp.asarray(made.ys), inputs=made.inputs, times=made.times, scenario=made, recording=recording,
+        filters={"marginalized": MarginalizedParticleFilter(n=1_000, linear=("scale", "offset"))},
+        counted=("px", "py"), blocks={"position": ("px", "py")},
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotJob(Job):
+    """A robot's way; errors are distances from the true place.
+
+    Attributes:
+        scenario: what the filter gets, and the truth.
+        recording: what it was made of.
+    """
+
+    scenario: scenario.Scenario
+    recording: Any
+
+    def title(self, steps: int) -> str:
+        """Return the length of the way, and how good the odometry is alone."""
+        apart = self.scenario.dead_reckoning - self.scenario.truth[:, :2]
+        alone = float((apart**2).sum(axis=1).mean() ** 0.5)
+        return f"{steps} steps over {self.scenario.times[-1]:.0f} s; position errors (by odometry alone {alone:.2f} m)"
+
+    def scores(self, history: History) -> tuple[Score, ...]:
+        """Judge a run by the true way."""
+        found = scenario.score(history, self.scenario)
+        numbers = (("rms", found.rms, "m", 2), ("worst", found.worst, "m", 2), ("final", found.final, "m", 2),
+                   ("scale", found.scale, "", 4), ("scale sd", found.scale_sd, "", 4))  # fmt: skip
+        return tuple(Score(name, float(value), unit, digits) for name, value, unit, digits in numbers)
+
+    def verdict(self, history: History) -> str:
+        """Say whether to trust the run."""
+        return str(scenario.diagnosed(history, self.scenario))
+
+    def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
+        """Draw the way with its errors and the scale, and the states."""
+        history = next(iter(histories.values()))
+        return {"robot.png": robot_figure(history, self.scenario), "states.png": plot(history)}
+
+    def written(self, folder: Path, settings: Settings) -> Settings:
+        """Write a recording that was made up, in the form of the real ones."""
+        if settings.data:
+            return settings
+        write_plaza(folder / FILE, self.recording)
+        return replace(settings, data=str(folder / FILE))
