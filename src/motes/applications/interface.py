@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from motes.filters import keep as keeping
@@ -77,7 +78,7 @@ class Job:
         """Judge a run."""
         if self.truth is None:
             return ()
-        errors = np.asarray(wrap((np.asarray(history.mean) - np.asarray(self.truth)).T, self.model.circular))
+        errors = np.asarray(wrap((history.mean - jnp.asarray(self.truth)).T, self.model.circular))
         return tuple(Score(f"rms {name}", float(np.sqrt(np.mean(errors[place] ** 2))), digits=4)
                      for place, name in enumerate(history.names))  # fmt: skip
 

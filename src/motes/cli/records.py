@@ -79,8 +79,9 @@ def build(base: type, choice: Any, place: str) -> Any:
                and field.default_factory is dataclasses.MISSING and name not in given]  # fmt: skip
     if missing:
         refuse(f"{place} {missing[0]}", f"a value, which {kind.__name__} asks for", "none", f"Give --{place}.{missing[0]}.")
-    if type(given.get("n")) is int and given["n"] > MOST:
-        refuse(f"{place} n", f"at most {MOST} particles", given["n"])
+    n = given.get("n")
+    if isinstance(n, int) and n > MOST:
+        refuse(f"{place} n", f"at most {MOST} particles", n)
     hints = typing.get_type_hints(kind)
     return kind(**{name: _field_value(hints[name], value, f"{place} {name}") for name, value in given.items()})
 

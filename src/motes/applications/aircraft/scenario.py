@@ -99,7 +99,8 @@ def read_path(
     for name, value in (("start", start), ("radar east", radar[0]), ("radar north", radar[1])):
         checks.finite(name, value)
     checks.above_zero("duration", duration)
-    return path_of(*_flown(file, start, duration), radar)
+    time, latitude, longitude, speed, track = _flown(file, start, duration)
+    return path_of(time, latitude, longitude, speed, track, radar)
 
 
 def path_of(
