@@ -142,13 +142,16 @@ def told(outcomes: Mapping[str, Outcome]) -> None:
 
 
 def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table; the first column is text, the others are numbers."""
+    """Print a table; the first column is text, the others are numbers. One too wide for the terminal is turned: a column for each row."""
+    console, lines = Console(), [head, *rows]
+    if sum(max(map(len, column)) + 3 for column in zip(*lines, strict=True)) + 1 > console.width:
+        lines = list(zip(*lines, strict=True))
     table = Shown(title=title, title_justify="left")
-    for place, name in enumerate(head):
-        table.add_column(name, justify="left" if place == 0 else "right", no_wrap=True)
-    for row in rows:
+    for place, name in enumerate(lines[0]):
+        table.add_column(name, justify="left" if place == 0 else "right", overflow="fold")
+    for row in lines[1:]:
         table.add_row(*row)
-    Console().print(table)
+    console.print(table)
 
 
 def number(value: float | None, digits: int) -> str:

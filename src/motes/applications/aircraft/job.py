@@ -42,9 +42,13 @@ def load(settings: Settings, seed: int) -> "AircraftJob":
     else:
         path = scenario.path_of(*reports, site)
     track = scenario.track(path, seed, settings.plots.steps, radar)
+    times = np.cumsum(np.asarray(track.dt, np.float64))
+    # beyond the end of the flight there is neither plot nor truth
+    flown = times <= path.times[-1] - times[0]
+    track = replace(track, **{name: getattr(track, name)[flown] for name in ("ys", "dt", "truth", "scored")})
     return AircraftJob(
         model=jumping(track.start, Flight(), radar), ys=jnp.asarray(track.ys), inputs=jnp.asarray(track.dt), track=track, reports=reports,
-        times=np.cumsum(np.asarray(track.dt, np.float64)), keep=keep.modes,
+        times=times[flown], keep=keep.modes,
         filters={"jump_markov": JumpMarkovFilter(n=200, sampled=("turn",)), "interacting": InteractingMultipleModel()},
         counted=("east", "north"), blocks={"position": ("east", "north"), "velocity": ("v_east", "v_north")},
         lost=("position", scenario.LOST),

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from motes.filters.history import History
-from motes.plotting.figures import ESTIMATE, INERTIAL, TRUE, legend_below, new_figure
+from motes.plotting.figures import ESTIMATE, INERTIAL, TRUE, legend_below, new_figure, tidy
 
 BAND = 0.25
 GAP = 10.0
@@ -27,6 +27,8 @@ def robot_figure(history: History, scenario: Any) -> Any:
     """
     figure = new_figure(12, 6)
     axes = figure.subplot_mosaic([["map", "error"], ["map", "scale"]])
+    for one in axes.values():
+        tidy(one)
     _map(axes["map"], history, scenario)
     _error(axes["error"], history, scenario)
     _scale(axes["scale"], history, scenario)
@@ -42,8 +44,7 @@ def _map(axes: Any, history: History, scenario: Any) -> None:
     axes.plot(estimate[:, 0], estimate[:, 1], color=ESTIMATE, lw=0.9, label="estimate")
     axes.plot(*scenario.beacons.T, "^", color="tab:red", ms=9, label="beacon")
     axes.plot(*scenario.truth[0, :2], "o", mfc="white", color=TRUE, ms=7, label="start")
-    axes.set(title="Map", xlabel="x in m", ylabel="y in m", aspect="equal")
-    axes.grid(alpha=0.3)
+    axes.set(title="Map", xlabel="x, m", ylabel="y, m", aspect="equal")
 
 
 def _error(axes: Any, history: History, scenario: Any) -> None:
@@ -60,8 +61,7 @@ def _error(axes: Any, history: History, scenario: Any) -> None:
         axes.axvspan(measured[i], measured[i + 1], color="0.88", lw=0, zorder=0, label=label)
     top = 1.45 * max(error.max(), np.quantile(2 * claimed, 0.99))
     axes.set(title=f"Position error: {rms:.2f} m RMS, {error.max():.2f} m at worst", ylabel="m", ylim=(0, top))
-    axes.grid(alpha=0.3)
-    axes.legend(loc="upper right", ncols=3, framealpha=1, fontsize="small", columnspacing=1.2)
+    axes.legend(loc="upper right", ncols=3, frameon=False, fontsize="small", columnspacing=1.2)
 
 
 def _scale(axes: Any, history: History, scenario: Any) -> None:
@@ -74,6 +74,5 @@ def _scale(axes: Any, history: History, scenario: Any) -> None:
     settled = scenario.times > 0.1 * scenario.times[-1]
     low, high = (mean - spread)[settled].min(), (mean + spread)[settled].max()
     room = 0.35 * (high - low)
-    axes.set(title=f"Scale error of the ranges: {mean[-1]:.2f} %", xlabel="time in s", ylabel="percent", ylim=(low - room, high + room))
-    axes.grid(alpha=0.3)
+    axes.set(title=f"Scale error of the ranges: {mean[-1]:.2f} %", xlabel="time, s", ylabel="percent", ylim=(low - room, high + room))
     axes.legend(loc="upper left", ncols=2, frameon=False, fontsize="small")
