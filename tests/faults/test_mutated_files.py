@@ -65,7 +65,8 @@ def small_zip(folder):
 
 
 def small_toml(folder):
-    text = 'seed = 3\nout = "x"\n[map]\nfiles = ["a.npz"]\n[filter]\nn = 20\nlinear = ["rD"]\n[noises]\naltimeter = 2.5\n'
+    text = ('application = "terrain"\nseed = 3\nout = "x"\n[map]\nfiles = ["a.npz"]\n[filter]\nkind = "marginalized"\nn = 20\n'
+            'linear = ["rD"]\n[study]\nruns = 3\n[noises]\naltimeter = 2.5\n')  # fmt: skip
     return table(folder, text, "a.toml")
 
 
@@ -86,10 +87,9 @@ def small_ledger(folder):
 
 
 def settings(path):
-    from motes.cli.options import from_toml
-    from motes.cli.run import Config
+    from motes.cli.asked import Run, asked
 
-    return from_toml(Config, str(path))
+    return asked(Run, [str(path)], "motes run").chosen("filter", "filters")
 
 
 def tables(path):
