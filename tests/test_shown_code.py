@@ -20,6 +20,8 @@ from tiers import NIGHT, each
 PAGES = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
          if "```python" in path.read_text()]  # fmt: skip
 FEWER = (("n=2_574", "n=64"), ("n=2_000", "n=64"), ("steps=100", "steps=8"))
+BY_NIGHT = {"chains.md", "parameters.md", "studies.md"}
+"""Pages that take long, of what other tests run, too."""
 SMALLER = {
     "README.md": (
         *FEWER, ("runs=100", "runs=2"), ("n=500", "n=8"), ("draws=2_000", "draws=100"),
@@ -45,7 +47,7 @@ def blocks(text):
             yield fence[2], after[2] if after and not after[1] and after.start() == fence.end() else None
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+@pytest.mark.parametrize("page", each({path.name: path for path in PAGES}, BY_NIGHT))
 def test_code_of_a_page_runs_in_order(page, tmp_path, monkeypatch):
     """All in one namespace; a piece that begins with the name of a file is that file, which is run if it is a program."""
     monkeypatch.chdir(tmp_path)
@@ -80,7 +82,8 @@ def methods():
 
 
 METHODS = methods()
-LONG = {"ParticleGibbs", "RaoBlackwellizedParticleGibbs", "PseudoMarginal", "AdaptiveSize", "NUTS", "HMC", "GaussianFilter"}
+LONG = {"ParticleGibbs", "RaoBlackwellizedParticleGibbs", "PseudoMarginal", "AdaptiveSize", "NUTS", "HMC", "GaussianFilter",
+        "ReversibleJump", "MixtureSmoother", "RaoBlackwellizedSmoother"}  # fmt: skip
 """Those whose example takes long, or is that of others once more: by night."""
 
 

@@ -15,7 +15,8 @@ from motes.smoothers.interface import Smoother
 from motes.testing.rules import RULES, asked
 from motes.testing.session import Session
 
-FILTERS = examples()
+# those around other filters last
+FILTERS = dict(sorted(examples().items(), key=lambda item: "filter" in values(item[1])))
 CLASSES = {name for name, filter in FILTERS.items() if name == type(filter).__name__}
 """One filter of each class."""
 KINDS = first_of_kinds(FILTERS)

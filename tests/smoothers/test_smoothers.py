@@ -9,6 +9,7 @@ from scipy import stats
 import motes as mo
 from motes.core import record
 from motes.smoothers import smooth as smoothing
+from tiers import each
 
 STEPS = 9
 
@@ -111,11 +112,11 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(("smoother", "filter"), CASES.values(), ids=CASES.keys())
-def test_moments_of_a_linear_model(smoother, filter):
+@pytest.mark.parametrize("case", each(CASES, {"backward, steps", "Rao-Blackwellized, other part"}))
+def test_moments_of_a_linear_model(case):
     """Level 1e-6 per case, 45 figures; a bias of 0.03 is allowed for, since a ratio of averages has one of the order 1 / n."""
     seeds = 40
-    off = errors(smoother, filter, seeds)
+    off = errors(*case, seeds)
     largest = stats.t.isf(1e-6 / 45 / 2, seeds - 1)
     assert np.all(np.abs(off.mean(0)) < largest * off.std(0, ddof=1) / np.sqrt(seeds) + 0.03)
 
