@@ -16,7 +16,7 @@ def natively(function, *leaves):
     leaves = [jnp.asarray(leaf, jnp.float32) for leaf in leaves]
     stage = movement(lambda *lanes: list(function(*lanes)), leaves)
     own = jnp.arange(leaves[0].shape[-1], dtype=jnp.int32)
-    return [np.asarray(out) for out in call_move(stage, stage.words, own, leaves)]
+    return [np.asarray(out) for out in call_move(stage, stage.shared, own, leaves)]
 
 
 def by_jax(function, *leaves):

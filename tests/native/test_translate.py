@@ -33,6 +33,23 @@ def squared(x):
 
 squared.defjvp(lambda primals, tangents: (primals[0] ** 2, 2 * primals[0] * tangents[0]))
 
+HEIGHTS = jnp.asarray(np.random.default_rng(3).normal(size=(19, 43)), jnp.float32)
+
+
+def whole(x):
+    return jnp.floor(x).astype(jnp.int32)
+
+
+def runge_kutta(x, h=0.05):
+    def slope(x):
+        return jnp.stack([x[1], -jnp.sin(x[0]) + 0.1 * x[2], -x[2]])
+
+    a = slope(x)
+    b = slope(x + h / 2 * a)
+    c = slope(x + h / 2 * b)
+    return x + h / 6 * (a + 2 * b + 2 * c + slope(x + h * c))
+
+
 asked = []
 
 
@@ -81,7 +98,19 @@ PROGRAMS = {
     "nan": over(lambda x: jnp.where(x > 0, jnp.log(x), jnp.nan)),
     "whole cloud": lambda X: [jnp.roll(X, 1, axis=0) * jnp.float32(2) + jnp.zeros((3, 1))],
     "whole cloud, rule for many": lambda X: [doubled(X) * doubled(jnp.float32(0.25)) + jax.checkpoint(jnp.sin)(X)],
-    "two steps": over(lambda x: jax.lax.fori_loop(0, 1, lambda i, z: z + 1, x) if False else jnp.flip(x) + jnp.cumsum(jnp.ones(3))),
+    "flipped": over(lambda x: jnp.flip(x) + jnp.cumsum(jnp.ones(3))),
+    "table": over(lambda x: HEIGHTS[whole(3 * x[0]), whole(4 * x[1])] + x),
+    "table, nothing beyond": over(lambda x: x + HEIGHTS.at[whole(9 * x[0]), whole(9 * x[1])].get(mode="fill")),
+    "table, another value beyond": over(lambda x: x + HEIGHTS.at[whole(9 * x[0])].get(mode="fill", fill_value=7.0)[:3]),
+    "table, edge beyond": over(lambda x: x + HEIGHTS.at[whole(9 * x), whole(9 * x[::-1])].get(mode="clip")),
+    "table, windows": over(lambda x: jax.lax.dynamic_slice(HEIGHTS, (whole(9 * x[0]), whole(9 * x[1])), (3, 1))[:, 0] * x),
+    "whole numbers": over(lambda x: x + whole(9 * x) // 4 * 0.5 + whole(9 * x) % 4 + jax.lax.rem(whole(9 * x), 1 - whole(x))),
+    "tables of whole numbers and truths": over(lambda x: jnp.where(jnp.array([True, False] * 9)[whole(9 * x[0])], x, jnp.arange(18)[whole(x[1])])),
+    "table worked out": over(lambda x: jnp.cumsum(HEIGHTS, axis=1)[whole(x[0]), whole(x[1])] * x),
+    "interpolated": over(lambda x: jnp.interp(x, jnp.linspace(-2, 2, 41), HEIGHTS[1, :41])),
+    "Runge and Kutta": over(lambda x: jax.lax.fori_loop(0, 10, lambda i, z: runge_kutta(z), x)),
+    "loop with rows": over(lambda x: jax.lax.scan(lambda z, row: (jnp.tanh(A @ z + row), z[0]), x, HEIGHTS[:5, :3])[0]),
+    "loop that gives rows": over(lambda x: jax.lax.scan(lambda z, row: (z * row, z + row), x, A, reverse=True)[1][1]),
 }
 
 
@@ -113,7 +142,7 @@ def natively_traced(function, X):
     from motes.native.stage import call_move, movement
 
     stage = movement(function, [jnp.asarray(X)])
-    return call_move(stage, stage.words, jnp.arange(X.shape[1], dtype=jnp.int32), [jnp.asarray(X)])[0]
+    return call_move(stage, stage.shared, jnp.arange(X.shape[1], dtype=jnp.int32), [jnp.asarray(X)])[0]
 
 
 @needs_compiler
@@ -132,6 +161,8 @@ ACROSS = {
     "reshaped": lambda X: [X.reshape(-1, 3).T],
     "first particle": lambda X: [X - X[:, :1]],
     "numbered": lambda X: [X + jnp.arange(X.shape[1])],
+    "loop from particle to particle": lambda X: [jax.lax.scan(lambda z, x: (z + x, z), jnp.zeros(3), X.T)[1].T],
+    "particles as a table": lambda X: [X[:, jnp.clip(X[0].astype(jnp.int32), 0, 5)]],
     "permuted": lambda X: [X[:, jnp.arange(X.shape[1])[::-1]]],
     "one particle set": lambda X: [X.at[:, 0].set(0.0)],
     "one particle updated": lambda X: [jax.lax.dynamic_update_slice(X, jnp.zeros((3, 1)), (0, 0))],

@@ -76,13 +76,13 @@ def resample_and_move(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, clo
         return None
     program = traced(function, parts.lanes, log_weights.shape[0])
 
-    def native(words: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
-        return call_move(stage, words, ancestors, lanes)
+    def native(shared: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
+        return call_move(stage, shared, ancestors, lanes)
 
-    def pure(words: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
+    def pure(shared: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
         return eval_jaxpr(program.jaxpr, consts, *(lane[..., ancestors] for lane in lanes))[: len(lanes)]
 
-    moved = blocks.differentiable(native, pure)(stage.words, ancestors, parts.lanes, program.consts)
+    moved = blocks.differentiable(native, pure)(stage.shared, ancestors, parts.lanes, program.consts)
     marks = {"ancestors": ancestors} if cloud.marks_ancestors else {}
     return replace(parts.together(cloud, [*moved, *stage.rest]), log_weights=log_weights, **marks)
 
@@ -102,14 +102,14 @@ def update_weights(cloud: Any, likelihood_of: Callable[[Any], tuple[Any, jax.Arr
         return None
     program = traced(function, parts.lanes, cloud.log_weights.shape[0])
 
-    def native(words: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
-        return call_weigh(stage, words, log_weights, lanes)
+    def native(shared: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
+        return call_weigh(stage, shared, log_weights, lanes)
 
-    def pure(words: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
+    def pure(shared: Any, log_weights: jax.Array, lanes: Any, consts: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
         likelihood, max_log_likelihood, *outs = eval_jaxpr(program.jaxpr, consts, *lanes)
         return *engine.original(logspace.joint_weights)(log_weights, likelihood, max_log_likelihood), outs[: len(lanes)]
 
-    given = (stage.words, cloud.log_weights, parts.lanes, program.consts)
+    given = (stage.shared, cloud.log_weights, parts.lanes, program.consts)
     weights, found, lanes = blocks.differentiable(native, pure)(*given)
     return replace(parts.together(cloud, [*lanes, *stage.rest]), log_weights=weights), found
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from motes.native.rules import MOVES, Untranslatable
 from motes.native.translate import block_of
-from motes.tracing.internals import Branches, called, control, has_own_mapping, without_constants
+from motes.tracing.internals import Branches, Scan, called, control, has_own_mapping, without_constants
 from motes.tracing.program import walk
 
 COUNT = 99_991
@@ -50,17 +50,25 @@ class _Apart:
         name = eqn.primitive.name
         if any(len(axes) > 1 for axes in after):
             _refuse(name)
+        parts = control(eqn, before)
+        if isinstance(parts, Scan):
+            return self._check_loop(eqn, parts, after)
         given, made = any(before), [bool(axes) for axes in after]
         if given and not all(made):
             _refuse(name)
         if not given and any(made) and name != "broadcast_in_dim":
             _refuse(name)
-        parts = control(eqn, before)
         if isinstance(parts, Branches):
             for branch in parts.programs:
                 walk(branch, parts.operands, self)
         if given and name in MOVES:
             _check_move(eqn, before, after[0])
+
+    def _check_loop(self, eqn: Any, loop: Scan, after: list[list[int]]) -> None:
+        """A loop of known length is what its steps are; it may not run from particle to particle."""
+        if loop.length == COUNT or [0] in [*loop.rows, *after[len(loop.carry) :]]:
+            _refuse(eqn.primitive.name)
+        walk(loop.body, [_axes(variable) for variable in without_constants(loop.body)[0].invars], self)
 
 
 def _axes(atom: Any) -> list[int]:

@@ -70,6 +70,9 @@ FLOAT_FORMULAS = {
     "sign": "{0} != {0} ? {0} : (float)(({0} > 0.f) - ({0} < 0.f))", "is_finite": "__builtin_fabsf({0}) < INF",
     "one_minus_square": "(1.f + {0}) * (1.f - {0})", "rem": "motes::remainder({0}, {1})",
 }  # fmt: skip
+ORDERS = {"lt_to": "motes::rank({0}) < motes::rank({1})", "le_to": "motes::rank({0}) <= motes::rank({1})"}
+"""Comparisons of floats in the total order."""
+WHOLE_FORMULAS = {"div": "motes::quotient({0}, {1})", "rem": "motes::left_over({0}, {1})"}
 _OURS_ALONE = {"logistic", "rsqrt", "erf_inv"}  # not in the standard library
 _TESTS = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite"}
 ROUNDINGS = {0: "__builtin_roundf({0})", 1: "motes::round_even({0})"}
@@ -81,6 +84,10 @@ def formula(name: str, kinds: list[str], params: dict[str, Any]) -> tuple[str, s
     result = "bool" if name in _TESTS else first
     if name in FORMULAS and not (first == "bool" and name in ("add", "sub", "mul", "neg", "max", "min", "square", "add_any")):
         return FORMULAS[name], result
+    if first == "float" and name in ORDERS:
+        return ORDERS[name], "bool"
+    if first in ("int32_t", "uint32_t") and name in WHOLE_FORMULAS:
+        return WHOLE_FORMULAS[name], first
     if name == "not":
         return ("!{0}" if first == "bool" else "~{0}"), first
     if name == "abs" and first == "int32_t":

@@ -14,6 +14,8 @@ from motes.native.translate import Translator, Untranslatable, is_lane, traced
 from motes.tracing.program import walk
 
 Function = Callable[..., Any]
+Shared = tuple[jax.Array, Sequence[jax.Array]]
+"""Words and tables of a stage."""
 
 
 class Stage(NamedTuple):
@@ -22,6 +24,7 @@ class Stage(NamedTuple):
     Attributes:
         kernel: name by which XLA calls it.
         words: numbers that all particles share, `(p,)`, as 32-bit words.
+        tables: arrays that all particles share, and each reads at places of its own.
         changed: for each array with the particle axis, whether the kernel works it out; it is left as it was otherwise.
         rest: what the stage returns without the particle axis, worked out by JAX.
         size: number of scalar operations.
@@ -29,9 +32,15 @@ class Stage(NamedTuple):
 
     kernel: str
     words: jax.Array
+    tables: list[jax.Array]
     changed: list[bool]
     rest: list[Any]
     size: int
+
+    @property
+    def shared(self) -> Shared:
+        """What all particles share."""
+        return self.words, self.tables
 
 
 def movement(function: Function, leaves: Sequence[jax.Array]) -> Stage:
@@ -95,7 +104,7 @@ def _compiled(kind: str, translator: Translator, leaves: Sequence[jax.Array], ou
     elif not shapes:
         raise Untranslatable("dynamics that move nothing")
     source = _source(kind, translator, [(_rows(leaf), leaf.ndim) for leaf in leaves], shapes, assignments)
-    return Stage(kernel(source, kind), translator.words(), changed, rest, len(translator.statements))
+    return Stage(kernel(source, kind), translator.words(), translator.tables, changed, rest, len(translator.statements))
 
 
 def _rows(leaf: Any) -> int:
@@ -110,6 +119,7 @@ def _source(kind: str, translator: Translator, leaves: list[tuple[int, int]], ou
     used = [j for j in range(count) if f"x{j}" in words]
     loads = [f"const float* __restrict r{j} = rows.in[{j}];" for j in used]
     loads += [f"float* __restrict y{j} = rows.out[{j}] + first;" for j in range(made)]
+    loads += translator.pointers()
     gathers = [f"const float x{j} = r{j}[a];" for j in used]
     numbers = translator.declarations()
     draws = "\n    ".join([*numbers, *translator.draws])
@@ -122,7 +132,7 @@ def _source(kind: str, translator: Translator, leaves: list[tuple[int, int]], ou
 using namespace motes;
 struct Model {{
   static constexpr int LEAVES = {len(leaves)}, OUTS = {len(outs)}, IN_ROWS = {count}, OUT_ROWS_ALL = {made};
-  static constexpr int NOISE = {translator.rows};
+  static constexpr int NOISE = {translator.rows}, TABLES = {len(translator.tables)};
   {arrays}
   static void draw(const uint32_t* P, uint32_t begin, float (*noise)[BLOCK]) {{
     {draws}
@@ -143,20 +153,22 @@ MOTES_KERNEL({kind}, run)
 """
 
 
-def call_move(stage: Stage, words: jax.Array, ancestors: jax.Array, leaves: Sequence[jax.Array]) -> list[jax.Array]:
+def call_move(stage: Stage, shared: Shared, ancestors: jax.Array, leaves: Sequence[jax.Array]) -> list[jax.Array]:
     """Return the arrays of the chosen ancestors, moved."""
     made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
-    results = list(_call(stage.kernel, made, words, ancestors, *leaves))
+    words, tables = shared
+    results = list(_call(stage.kernel, made, words, ancestors, *leaves, *tables))
     return [results.pop(0) if changed else leaf[..., ancestors] for leaf, changed in zip(leaves, stage.changed, strict=True)]
 
 
 def call_weigh(
-    stage: Stage, words: jax.Array, log_weights: jax.Array, leaves: Sequence[jax.Array]
+    stage: Stage, shared: Shared, log_weights: jax.Array, leaves: Sequence[jax.Array]
 ) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
     """Return normalized log weights `(n,)`, the judgement `(6,)` (see `logspace.joint_weights`) and the arrays, corrected."""
     made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
     six = jax.ShapeDtypeStruct((6,), jnp.float32)
-    weights, found, *results = _call(stage.kernel, [log_weights, six, *made], words, log_weights, *leaves)
+    words, tables = shared
+    weights, found, *results = _call(stage.kernel, [log_weights, six, *made], words, log_weights, *leaves, *tables)
     return weights, found, [results.pop(0) if changed else leaf for leaf, changed in zip(leaves, stage.changed, strict=True)]
 
 

@@ -15,7 +15,8 @@ from jax.core import Tracer
 
 from motes.core import random
 from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal
-from motes.tracing.internals import Branches, called, control, has_own_mapping, jitted_name, worked_out
+from motes.native.tables import LookUp
+from motes.tracing.internals import Branches, Scan, called, control, has_own_mapping, jitted_name, worked_out
 from motes.tracing.program import walk
 
 MOST_STATEMENTS = 6_000
@@ -38,6 +39,7 @@ class Translator:
     Attributes:
         statements: C++, in order.
         parameters: values that JAX works out, `()` or of any shape, in the order in which the kernel gets them.
+        tables: arrays that all particles share and each looks up at places of its own, likewise.
         draws: C++ calls that fill the rows of random numbers.
         rows: number of rows of random numbers.
     """
@@ -46,10 +48,12 @@ class Translator:
         """Start with nothing."""
         self.statements: list[str] = []
         self.parameters: list[Any] = []
+        self.tables: list[jax.Array] = []
         self.draws: list[str] = []
         self.rows = 0
         self._count = 0
         self._slots: dict[int, np.ndarray] = {}
+        self._named_tables: dict[int, str] = {}
         self._kept: list[Any] = []
 
     def inputs(self, first: int, shape: tuple[int, ...]) -> np.ndarray:
@@ -61,6 +65,11 @@ class Translator:
         kinds = [kind for value in self.parameters for kind in [kind_of(value.dtype)] * int(np.size(value))]
         read = {"float": "bits<float>(P[{0}])", "bool": "P[{0}] != 0", "int32_t": "(int32_t)P[{0}]", "uint32_t": "P[{0}]"}
         return [f"const {kind} p{i} = {read[kind].format(i)};" for i, kind in enumerate(kinds)]
+
+    def pointers(self) -> list[str]:
+        """C++ that gives the tables their names and types."""
+        kinds = ["int32_t" if table.dtype == jnp.int32 else kind_of(table.dtype) for table in self.tables]
+        return [f"const {kind}* __restrict t{i} = (const {kind}*)rows.tables[{i}];" for i, kind in enumerate(kinds)]
 
     def words(self) -> jax.Array:
         """Return the parameters as 32-bit words, `(p,)`."""
@@ -101,6 +110,11 @@ class Translator:
         parts = control(eqn, operands)
         if isinstance(parts, Branches):
             return self._branches(parts)
+        if isinstance(parts, Scan):
+            return self._unrolled(parts)
+        if name == "gather" and is_lane(operands[1]) and not is_lane(operands[0]):
+            look_up = LookUp(eqn, self._table(operands[0]), lambda kind, text: self._named(kind, text).text)
+            return [look_up.at(operands[1], eqn.outvars[0].aval.shape)]
         if name in MOVES:
             return self._moved(eqn, operands)
         if name in REDUCTIONS:
@@ -196,6 +210,31 @@ class Translator:
         branches = [walk(branch, parts.operands, self) for branch in parts.programs]
         which = self.scalars(parts.index)
         return [self._elementwise("select_n", [which, *map(self.scalars, cases)], {}) for cases in zip(*branches, strict=True)]
+
+    def _unrolled(self, loop: Scan) -> list[Any]:
+        """Write a loop out: its length is known."""
+        carry, made = list(loop.carry), []
+        order = range(loop.length)
+        for k in reversed(order) if loop.reverse else order:
+            results = walk(loop.body, [*loop.consts, *carry, *(rows[k] for rows in loop.rows)], self)
+            carry = results[: len(carry)]
+            made.append(results[len(carry) :])
+        steps = made[::-1] if loop.reverse else made
+        return [*carry, *(self._stacked(values) for values in zip(*steps, strict=True))]
+
+    def _stacked(self, values: Sequence[Any]) -> Any:
+        if not any(is_lane(value) for value in values):
+            return jnp.stack([jnp.asarray(value) for value in values])
+        return np.stack([self.scalars(value) for value in values])
+
+    def _table(self, value: Any) -> str:
+        """Hand a table over, once; return its name."""
+        if id(value) not in self._named_tables:
+            self._named_tables[id(value)] = f"t{len(self.tables)}"
+            self._kept.append(value)
+            words = jnp.asarray(value)
+            self.tables.append(words.astype(jnp.int32) if words.dtype == bool else words)
+        return self._named_tables[id(value)]
 
     def _draw(self, block: str, key: Any, shape: tuple[int, ...]) -> np.ndarray:
         if is_lane(key):

@@ -202,6 +202,28 @@ static inline __attribute__((always_inline)) float sqrt(float x) { return __buil
 static inline __attribute__((always_inline)) float rsqrt(float x) { return 1.f / __builtin_sqrtf(x); }
 
 // saturating, as XLA does it
+// whole numbers in the total order of float32: -NaN, -inf, ..., -0, 0, ..., inf, NaN
+static inline __attribute__((always_inline)) int32_t rank(float x) {
+  int32_t word = bits<int32_t>(x);
+  return word ^ ((word >> 31) & 0x7FFFFFFF);
+}
+
+// as XLA divides: by zero gives -1 (all bits set), and the lowest number by -1 itself
+template <class Whole>
+static inline __attribute__((always_inline)) Whole quotient(Whole a, Whole b) {
+  bool negated = (Whole)(b + 1) == 0 && (Whole)-1 < 0;
+  Whole by = b == 0 || negated ? (Whole)1 : b;
+  return b == 0 ? (Whole)-1 : negated ? (Whole)(0u - (uint32_t)a) : (Whole)(a / by);
+}
+
+// as XLA: by zero gives the dividend
+template <class Whole>
+static inline __attribute__((always_inline)) Whole left_over(Whole a, Whole b) {
+  bool negated = (Whole)(b + 1) == 0 && (Whole)-1 < 0;
+  Whole by = b == 0 || negated ? (Whole)1 : b;
+  return b == 0 ? a : negated ? (Whole)0 : (Whole)(a % by);
+}
+
 static inline __attribute__((always_inline)) int32_t to_int(float x) {
   float inside = x >= 2147483648.f || x < -2147483648.f || x != x ? 0.f : x;
   return x >= 2147483648.f ? INT32_MAX : (x < -2147483648.f ? INT32_MIN : (int32_t)inside);

@@ -1,5 +1,6 @@
 // The two stages of a filter with particles, for a traced model: `Model` is written by the translator.
 //   LEAVES, ROWS[], RANKS[]: arrays of the particles' state; OUTS, OUT_ROWS[], OUT_RANKS[]: those that the stage changes;
+//   TABLES: arrays that all particles share, of 32-bit elements;
 //   NOISE: rows of random numbers; draw(P, begin, noise) fills them; lanes(...) works on up to BLOCK particles.
 #pragma once
 #include "weights.hpp"
@@ -10,6 +11,7 @@ template <class Model>
 struct Rows {
   const float* in[Model::IN_ROWS + 1];
   float* out[Model::OUT_ROWS_ALL + 1];
+  const void* tables[Model::TABLES + 1];
 };
 
 template <class Model>
@@ -20,6 +22,8 @@ static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, 
     const float* data = batch.of<const float>(frame.arg(2 + leaf), run);
     for (int r = 0; r < Model::ROWS[leaf]; r++) rows.in[at++] = data + r * n;
   }
+  for (int table = 0; table < Model::TABLES; table++)
+    rows.tables[table] = batch.of<const uint32_t>(frame.arg(2 + Model::LEAVES + table), run);
   at = 0;
   for (int leaf = 0; leaf < Model::OUTS; leaf++) {
     float* data = batch.of<float>(frame.ret(first_out + leaf), run);
@@ -28,7 +32,7 @@ static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, 
   return rows;
 }
 
-// args: parameters, ancestors `(n)`, leaves; rets: changed leaves
+// args: parameters, ancestors `(n)`, leaves, tables; rets: changed leaves
 template <class Model>
 static void move(const Frame& frame, const Team& team) {
   Operand like = frame.ret(0);
@@ -46,7 +50,7 @@ static void move(const Frame& frame, const Team& team) {
   });
 }
 
-// args: parameters, log weights `(n)`, leaves; rets: log weights `(n)`, judgement `(6)`, changed leaves
+// args: parameters, log weights `(n)`, leaves, tables; rets: log weights `(n)`, judgement `(6)`, changed leaves
 template <class Model>
 static void weigh(const Frame& frame, const Team& team) {
   weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t n) {
