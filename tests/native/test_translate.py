@@ -105,7 +105,9 @@ PROGRAMS = {
     "table, edge beyond": over(lambda x: x + HEIGHTS.at[whole(9 * x), whole(9 * x[::-1])].get(mode="clip")),
     "table, windows": over(lambda x: jax.lax.dynamic_slice(HEIGHTS, (whole(9 * x[0]), whole(9 * x[1])), (3, 1))[:, 0] * x),
     "whole numbers": over(lambda x: x + whole(9 * x) // 4 * 0.5 + whole(9 * x) % 4 + jax.lax.rem(whole(9 * x), 1 - whole(x))),
-    "tables of whole numbers and truths": over(lambda x: jnp.where(jnp.array([True, False] * 9)[whole(9 * x[0])], x, jnp.arange(18)[whole(x[1])])),
+    "tables of whole numbers and truths": over(
+        lambda x: jnp.where(jnp.array([True, False] * 9)[whole(9 * x[0])], x, jnp.arange(18)[whole(x[1])])
+    ),
     "table worked out": over(lambda x: jnp.cumsum(HEIGHTS, axis=1)[whole(x[0]), whole(x[1])] * x),
     "interpolated": over(lambda x: jnp.interp(x, jnp.linspace(-2, 2, 41), HEIGHTS[1, :41])),
     "Runge and Kutta": over(lambda x: jax.lax.fori_loop(0, 10, lambda i, z: runge_kutta(z), x)),

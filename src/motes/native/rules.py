@@ -69,12 +69,13 @@ FLOAT_FORMULAS = {
     "div": "{0} / {1}", "abs": "__builtin_fabsf({0})", "floor": "__builtin_floorf({0})", "ceil": "__builtin_ceilf({0})",
     "sign": "{0} != {0} ? {0} : (float)(({0} > 0.f) - ({0} < 0.f))", "is_finite": "__builtin_fabsf({0}) < INF",
     "one_minus_square": "(1.f + {0}) * (1.f - {0})", "rem": "motes::remainder({0}, {1})",
+    "lt_to": "motes::rank({0}) < motes::rank({1})", "le_to": "motes::rank({0}) <= motes::rank({1})",
 }  # fmt: skip
-ORDERS = {"lt_to": "motes::rank({0}) < motes::rank({1})", "le_to": "motes::rank({0}) <= motes::rank({1})"}
-"""Comparisons of floats in the total order."""
-WHOLE_FORMULAS = {"div": "motes::quotient({0}, {1})", "rem": "motes::left_over({0}, {1})"}
+UNSIGNED_FORMULAS = {"not": "~{0}", "div": "motes::quotient({0}, {1})", "rem": "motes::left_over({0}, {1})"}
+SIGNED_FORMULAS = {**UNSIGNED_FORMULAS, "abs": "{0} < 0 ? -{0} : {0}", "sign": "({0} > 0) - ({0} < 0)"}
 _OURS_ALONE = {"logistic", "rsqrt", "erf_inv"}  # not in the standard library
-_TESTS = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite"}
+_TESTS = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite", "lt_to", "le_to"}
+_OF_KIND = {"float": FLOAT_FORMULAS, "int32_t": SIGNED_FORMULAS, "uint32_t": UNSIGNED_FORMULAS, "bool": {"not": "!{0}"}}
 ROUNDINGS = {0: "__builtin_roundf({0})", 1: "motes::round_even({0})"}
 
 
@@ -84,16 +85,8 @@ def formula(name: str, kinds: list[str], params: dict[str, Any]) -> tuple[str, s
     result = "bool" if name in _TESTS else first
     if name in FORMULAS and not (first == "bool" and name in ("add", "sub", "mul", "neg", "max", "min", "square", "add_any")):
         return FORMULAS[name], result
-    if first == "float" and name in ORDERS:
-        return ORDERS[name], "bool"
-    if first in ("int32_t", "uint32_t") and name in WHOLE_FORMULAS:
-        return WHOLE_FORMULAS[name], first
-    if name == "not":
-        return ("!{0}" if first == "bool" else "~{0}"), first
-    if name == "abs" and first == "int32_t":
-        return "{0} < 0 ? -{0} : {0}", first
-    if name == "sign" and first == "int32_t":
-        return "({0} > 0) - ({0} < 0)", first
+    if name in _OF_KIND.get(first, {}):
+        return _OF_KIND[first][name], result
     if name in ("convert_element_type", "bitcast_convert_type"):
         return (_conversion if name == "convert_element_type" else _same_bits)(first, kind_of(params["new_dtype"]))
     if name == "select_n":
@@ -105,8 +98,6 @@ def formula(name: str, kinds: list[str], params: dict[str, Any]) -> tuple[str, s
         return _horner(len(kinds) - 1), first
     if name == "round" and first == "float":
         return ROUNDINGS[int(params["rounding_method"])], first
-    if first == "float" and name in FLOAT_FORMULAS:
-        return FLOAT_FORMULAS[name], result
     function = _function(name, params.get("accuracy")) if all(kind == "float" for kind in kinds) else None
     return (f"{function}({', '.join(f'{{{i}}}' for i in range(len(kinds)))})", first) if function else None
 

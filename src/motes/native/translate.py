@@ -277,4 +277,3 @@ def _plain(value: Any) -> Any:
 def traced(function: Callable[..., Any], leaves: Sequence[Any], n: int) -> Any:
     """Trace a function of arrays `(..., n)` for another number of particles."""
     return jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct((*leaf.shape[:-1], n), leaf.dtype) for leaf in leaves))
-
