@@ -104,7 +104,7 @@ def test_nothing_measured_is_a_prediction(form):
 
 
 @pytest.mark.optimized
-@pytest.mark.parametrize("form", OTHERS)
+@pytest.mark.parametrize("form", each(OTHERS, {"set"}))
 @pytest.mark.parametrize("filter", [FILTER, pytest.param(mo.AuxiliaryParticleFilter(n=300), marks=pytest.mark.night)],
                          ids=lambda filter: type(filter).__name__)  # fmt: skip
 def test_streams_and_pieces_give_the_same_bits(form, filter, tmp_path):

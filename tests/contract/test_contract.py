@@ -25,8 +25,8 @@ FEW = first_of_kinds(FILTERS, lambda filter: filter.look_ahead)
 """One filter that looks ahead, and one that does not."""
 BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "likelihood": KINDS,
           **dict.fromkeys(("missing", "weights", "fewest"), KINDS),
-          **dict.fromkeys(("stream", "unmeasured", "checkpoint", "cut"), KINDS | {"ParticleFilter"}),
-          **dict.fromkeys(("vmapped", "inflation", "smallest", "eager", "derivative"), FEW)}  # fmt: skip
+          **dict.fromkeys(("stream", "checkpoint", "cut"), KINDS | {"ParticleFilter"}),
+          **dict.fromkeys(("unmeasured", "vmapped", "inflation", "smallest", "eager", "derivative"), FEW)}  # fmt: skip
 """Filters that are asked a rule by day, all others being asked by night; of rules not named here, those of `CLASSES`."""
 ONE_STATE = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,), "size": 1}
 """Parameters in place of those for two states."""

@@ -60,7 +60,7 @@ def test_every_filter_has_the_alarm(name):
 
 
 @pytest.mark.optimized
-@pytest.mark.parametrize("filter", [mo.KalmanFilter(), mo.ParticleFilter(n=300)], ids=["kalman", "particle"])
+@pytest.mark.parametrize("filter", each({"kalman": mo.KalmanFilter(), "particle": mo.ParticleFilter(n=300)}, {"particle"}))
 def test_stream_and_cuts_ring_alike(filter, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", mo.MotesWarning)

@@ -21,7 +21,7 @@ from motes.core.record import replace
 from motes.diagnostics import undeclared
 from motes.laws import circular, cloud
 from motes.smoothers.interface import Smoother
-from tiers import each
+from tiers import NIGHT, each
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
 from discovery import examples, is_variant
@@ -258,7 +258,7 @@ def test_the_mean_is_the_circular_mean():
 @pytest.mark.optimized
 def test_streams_give_the_same_bits():
     ys, told = world()[1][:8], inputs(True)
-    for filter in (CLOUD, mo.EnsembleKalmanFilter(n=50)):
+    for filter in (CLOUD, *[mo.EnsembleKalmanFilter(n=50)] * NIGHT):
         history = mo.run(1, filter, MODEL, ys, jax.tree.map(lambda leaf: leaf[:8], told))
         stream = mo.stream(1, filter, MODEL, jax.tree.map(lambda leaf: leaf[0], told))
         for t, y in enumerate(ys):

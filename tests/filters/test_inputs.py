@@ -36,7 +36,7 @@ def inputs(steps):
 
 @pytest.mark.optimized
 @pytest.mark.parametrize("cross", each({"independent": None, "correlated noises": [[0.05, 0.02], [0.0, -0.03]]}, {"correlated noises"}))
-@pytest.mark.parametrize("filter", FILTERS, ids=lambda f: type(f).__name__)
+@pytest.mark.parametrize("filter", each({type(one).__name__: one for one in FILTERS}, {"ExtendedKalmanFilter", "ParticleFilter"}))
 def test_stream_equals_run_with_inputs(filter, cross):
     model, u = driven_model(noise_cross_cov=cross), inputs(8)
     ys = np.array(mo.simulate(3, model, 8, u)[1])
