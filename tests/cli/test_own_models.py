@@ -41,6 +41,14 @@ def broken():
 
 def number():
     return 3
+
+
+def several():
+    a, b = (mo.LinearGaussian(row, jnp.eye(1)) for row in ([[1.0, 0.0]], [[0.0, 1.0]]))
+    return mo.replace(make(), sensor=mo.Independent(a=a, b=b))
+
+
+constant = 3
 '''
 STEPS = 25
 XS, YS = (np.array(drawn) for drawn in mo.simulate(
@@ -177,12 +185,58 @@ REFUSALS = [
     (["model.py:make", "--data", "y.csv", "--data.columns", "a", "--filter", "kalman"], ["ys: expected shape (t, 2)"]),
     (["model.py:make", "--data", "none.csv", "--filter", "kalman"], ["none.csv"]),
     (["model.py:make", *GOOD, "--filter"], ["--filter: expected a value after it"]),
+    (["model.py:constant", *GOOD], ["expected a function constant", "got int 3"]),
+    (["no_such_module:make", *GOOD], ["a file is named FILE.py:FUNCTION"]),
+    (["model.py:make", *GOOD, "--filter.gate", "0.9", "--filter.gate", "0.8"], ["--filter.gate: expected one value", "0.9 and 0.8"]),
+    (["model.py:make", *GOOD[:-1], "particle", "--n", "0"], ["n: expected a whole number of at least 1"]),
+    (["model.py:make", *GOOD[:-1], "particle", "--n", "70000000"], ["n: expected at most 50000000 particles"]),
+    (["model.py:make", *GOOD, "--smoother", "backward simulation", "--smoother.n", "10"], ["laws of the kind Cloud", "got Gaussian"]),
+    (["model.py:make", *GOOD[:-2], "--filters.a/b", "kalman"], ["filters 'a/b': expected a name for files"]),
+    (["model.py:several", *GOOD, "--filter.gate.c", "0.9"], ["gate: expected gates of a, b", "'c'"]),
 ]
 
 
 @pytest.mark.parametrize(("words", "parts"), REFUSALS, ids=lambda value: value[0] if isinstance(value, list) else str(value))
 def test_what_cannot_be_is_one_line(folder, capsys, words, parts):
+    before = sorted(folder.iterdir())
     refused(capsys, ["run", *words], *parts)
+    assert [path for path in sorted(folder.iterdir()) if path.name not in ("cache", "__pycache__")] == before
+
+
+@pytest.mark.parametrize(("text", "parts"), [
+    ("filter = 3", ["filter: expected a name, or a table"]),
+    ("smoother = 3\nfilter = 'kalman'", ["smoother: expected a name, or a table"]),
+    ("filters = ['kalman']", ["filters: expected filters by names of your own"]),
+    ("[filters.'../out']\nkind = 'kalman'", ["filters '../out': expected a name for files"]),
+    ("[filters.'']\nkind = 'kalman'", ["filters '': expected a name for files"]),
+])  # fmt: skip
+def test_choices_in_a_file_that_cannot_be_are_one_line(folder, capsys, text, parts):
+    Path("own.toml").write_text('application = "model.py:make"\ndata.file = "y.csv"\ndata.columns = ["a", "b"]\n' + text)
+    refused(capsys, ["run", "own.toml"], *parts)
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize(("words", "parts"), [(["--runs", "-3"], ["runs"]), (["--steps", "0"], ["steps: expected a whole number"])])
+def test_a_study_that_cannot_be_leaves_nothing(folder, capsys, words, parts):
+    refused(capsys, ["study", "model.py:make", "--filters.a", "kalman", *words], *parts)
+    assert not Path("out").exists()
+
+
+def test_choices_change_what_is_there_by_default(folder, capsys):
+    """A parameter of a parameter, a gate by sensor, the number of particles, a module beside the file, rows of MATLAB."""
+    from scipy.io import savemat
+
+    assert build(Filter, {"kind": "particle", "policy": {"share": 0.3}}, "filter", 5) == mo.ParticleFilter(5, policy=mo.resampling.ESS(0.3))
+    Path("beside.py").write_text("from model import several\n")
+    Path("deep").mkdir()
+    for name in ("beside.py", "model.py"):
+        Path(name).rename(Path("deep") / name)
+    savemat("y.mat", {"a": YS[:, 0], "b": YS[:, 1]})
+    words = ["run", "deep/beside.py:several", "--data", "y.mat", "--data.columns", "b", "--filter", "kalman", "--filter.gate.b", "0.99"]
+    assert main(words) == 0
+    model = mo.replace(history_model(), sensor=mo.LinearGaussian([[0.0, 1.0]], np.eye(1)))
+    wanted = mo.run(0, mo.KalmanFilter(gate=0.99), model, YS[:, 1:])
+    np.testing.assert_allclose(mo.History.load("out/kalman.npz").mean, wanted.mean, rtol=1e-4, atol=1e-4)
 
 
 def test_every_filter_can_be_chosen_by_name():

@@ -79,7 +79,7 @@ def test_streams_gate_and_speak_alike():
         plain.update(WILD[6] * 10)
 
 
-@pytest.mark.parametrize("gate", [0, 1.0, "0.9", 2])
+@pytest.mark.parametrize("gate", [0, 1.0, "0.9", 2, {3: 0.9}, {"a": 2.0}])
 def test_gates_are_probabilities(gate):
     with pytest.raises(mo.MotesError, match="KalmanFilter gate: expected a probability"):
         mo.KalmanFilter(gate=gate)

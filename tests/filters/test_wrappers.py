@@ -103,6 +103,14 @@ def test_a_study_compares_wrapped_filters():
     assert np.array_equal(result.estimates[0], result.estimates[1])
 
 
+def recovered_by(fresh):
+    return mo.run(0, mo.Recovering(INNER, fresh), WALK, YS[:3])
+
+
+def learned_by(memory, learn):
+    return mo.run(0, mo.Adapting(INNER, memory, learn), WALK, YS[:3])
+
+
 @pytest.mark.parametrize(("make", "words"), [
     (lambda: mo.Recovering(3, near), "Recovering filter: expected a filter"),
     (lambda: mo.Recovering(INNER, 3), "Recovering fresh: expected a function"),
@@ -110,6 +118,14 @@ def test_a_study_compares_wrapped_filters():
     (lambda: mo.Recovering(INNER, near, margin=0.5), "Recovering margin: expected a number of at least 1"),
     (lambda: mo.Adapting(INNER, 0.0, None), "Adapting learn: expected a function"),
     (lambda: mo.run(0, mo.Recovering(mo.KalmanFilter(), near), WALK, YS[:3]), "Recovering filter: expected one whose law is a Cloud"),
+    (lambda: mo.Recovering(INNER, near, slow="a"), "Recovering slow: expected a number above 0"),
+    (lambda: recovered_by(lambda key, y, u, t: jnp.zeros(3)), r"Recovering fresh: expected a state \(2,\)"),
+    (lambda: recovered_by(lambda key: key), r"Recovering fresh\(key, y, u, t\): .* 4 arguments"),
+    (lambda: recovered_by(lambda key, y, u, t: {}[1]), "Recovering fresh.* KeyError at .*test_wrappers.py"),
+    (lambda: mo.Adapting(INNER, {"bias": "x"}, near), "Adapting memory: expected a tree of arrays of numbers, got str"),
+    (lambda: learned_by(0, lambda key, m, law, y, u, t: m + 0.5), "Adapting learn: .*int32.* got float32"),
+    (lambda: learned_by(jnp.zeros(2), lambda key, m, law, y, u, t: m[:1]), "Adapting learn: expected a memory"),
+    (lambda: learned_by(jnp.zeros(2), lambda key: key), r"Adapting learn\(key.* 6 arguments"),
 ])  # fmt: skip
 def test_what_cannot_be_is_refused(make, words):
     with pytest.raises(mo.MotesError, match=words):
@@ -159,9 +175,14 @@ def test_sizes_change_in_a_stream_as_in_a_run(name):
 @pytest.mark.parametrize(("make", "words"), [
     (lambda: mo.AdaptiveSize(mo.KalmanFilter(), (1, 2), (1.0,)), "AdaptiveSize filter: expected one with a number of particles n"),
     (lambda: mo.AdaptiveSize(INNER, (300, 200), (1.0,)), "AdaptiveSize sizes: expected numbers that increase"),
-    (lambda: mo.AdaptiveSize(INNER, (), (1.0,)), "AdaptiveSize sizes: expected a whole number of at least 1"),
     (lambda: mo.AdaptiveSize(INNER, (200, 300), (1.0, 0.0)), "AdaptiveSize widths: expected a width above 0"),
     (lambda: mo.AdaptiveSize(INNER, (200, 300), (1.0, 1.0), error=2.0), "AdaptiveSize error: expected a number between 0 and 1"),
+    (lambda: mo.AdaptiveSize(INNER, 300, (1.0,)), "AdaptiveSize sizes: expected some numbers"),
+    (lambda: mo.AdaptiveSize(INNER, (), (1.0,)), "AdaptiveSize sizes: expected some numbers"),
+    (lambda: mo.AdaptiveSize(INNER, (200, 300), 0.5), "AdaptiveSize widths: expected some numbers"),
+    (lambda: mo.AdaptiveSize(INNER, (200, 300), ("a", 0.5)), "AdaptiveSize widths: expected a width above 0"),
+    (lambda: mo.AdaptiveSize(INNER, (200, 300), (np.inf, np.inf)), "AdaptiveSize widths: expected a finite width"),
+    (lambda: mo.AdaptiveSize(INNER, (200, 300), (1.0, 1.0), error="a"), "AdaptiveSize error: expected a number above 0"),
     (lambda: mo.run(0, mo.AdaptiveSize(INNER, (200, 300), (1.0,)), WALK, YS[:2]), "AdaptiveSize widths: expected one for each of 2 states"),
 ])  # fmt: skip
 def test_sizes_that_cannot_be_are_refused(make, words):

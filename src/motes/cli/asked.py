@@ -8,6 +8,7 @@ these as `application`. A file holds the settings of the application, `seed`, `n
 import dataclasses
 import importlib
 import pkgutil
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,6 +87,8 @@ class Study:
     out: str = field(default="out", metadata={"path": True})
 
 
+NAME = r"\w[\w +-]{0,59}"
+"""What filters may be called: files are named after them."""
 TABLES = {"plan": Plan, "study": Study}
 """Tables of a file that one command alone reads."""
 
@@ -170,14 +173,18 @@ class Asked(NamedTuple):
 
         root = next((one for one in roots if one in self.choices), None)
         if root == "filter":
-            filter = build(Filter, self.choices[root], root)
+            filter = build(Filter, self.choices[root], root, self.settings.n)
             return {file_name(self.choices[root]): filter}
         if root is None:
             return {}
         table = self.choices[root]
         if not isinstance(table, dict) or not table or "kind" in table:
             refuse(root, "filters by names of your own", shown(table), "Give --filters.few particle --filters.few.n 100.")
-        return {name: build(Filter, _with_kind(choice, name), f"filters.{name}") for name, choice in table.items()}
+        for name in table:
+            if not re.fullmatch(NAME, name):
+                refuse(f"{root} {shown(name)}", "a name for files: at most 60 letters, digits, spaces, _, + or -, a letter or digit first",
+                       shown(name))  # fmt: skip
+        return {name: build(Filter, _with_kind(choice, name), f"filters.{name}", self.settings.n) for name, choice in table.items()}
 
     def filters(self, job: "Job", *roots: str) -> "dict[str, Filter]":
         """Return the filters to run: those that the user names, or those of the job; with as many particles as the user wants.

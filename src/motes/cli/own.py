@@ -104,6 +104,7 @@ def _function(application: str, folder: str) -> Callable[..., Any]:
             refuse(f"application {application}", "a Python file", f"no file {str(path)!r:.160}")
         spec = importlib.util.spec_from_file_location(path.stem, path)
         assert spec is not None and spec.loader is not None
+        sys.path.insert(0, str(path.resolve().parent))  # as where it is run as a program
         module = importlib.util.module_from_spec(spec)
         sys.modules.setdefault(path.stem, module)
         _guarded(application, lambda: spec.loader.exec_module(module))  # type: ignore[union-attr]
@@ -111,7 +112,9 @@ def _function(application: str, folder: str) -> Callable[..., Any]:
         sys.path.insert(0, folder or ".")
         module = _guarded(application, lambda: importlib.import_module(place))
     function = getattr(module, name, None)
-    if not callable(function):
+    if function is not None and not callable(function):
+        refuse(f"application {application}", f"a function {name}", f"{type(function).__name__} {shown(function)}")
+    if function is None:
         there = ", ".join(sorted(key for key, value in vars(module).items() if inspect.isfunction(value))[:8]) or "none"
         refuse(f"application {application}", f"a function {name}", f"none of that name (functions there: {there})")
     return function
@@ -130,7 +133,10 @@ def _guarded(application: str, work: Callable[[], Any]) -> Any:
                  and "importlib" not in frame.filename]  # fmt: skip
         where = f" at {trace[-1].filename[-100:]}, line {trace[-1].lineno}" if trace else ""
         text = " ".join(str(reason).split())[:200]
-        refuse(f"application {application}", "a module and function that work", f"{type(reason).__name__}{where}: {text}")
+        hint = ""
+        if isinstance(reason, ModuleNotFoundError) and reason.name == application.partition(":")[0].partition(".")[0]:
+            hint = f"Modules are looked for in {sys.path[0] or '.'}, too; a file is named FILE.py:FUNCTION."
+        refuse(f"application {application}", "a module and function that work", f"{type(reason).__name__}{where}: {text}", hint)
 
 
 def measured(data: Data, arrays: dict[str, np.ndarray], model: Any) -> dict[str, Any]:
@@ -144,15 +150,17 @@ def measured(data: Data, arrays: dict[str, np.ndarray], model: Any) -> dict[str,
     def column(name: str) -> np.ndarray:
         if name not in arrays:
             refuse("data", f"names in the file: {', '.join(arrays)[:200]}", shown(name))
-        return arrays[name]
+        # MATLAB has no vectors but rows and columns
+        return arrays[name].reshape(-1) if arrays[name].ndim == 2 and 1 in arrays[name].shape else arrays[name]
 
     taken = {data.time, *data.inputs, *data.truth}
     names = data.columns or tuple(name for name in arrays if name not in taken)
     if not names:
         refuse("data columns", "at least one measurement in the file", "none beside time, inputs and truth")
     parts = [column(name) for name in names]
-    ys = parts[0] if len(parts) == 1 and parts[0].ndim > 1 else np.stack(parts, axis=1) if all(part.ndim == 1 for part in parts) else \
-        dict(zip(names, parts, strict=True))  # fmt: skip
+    sensors = {name for mode in model.each_mode() for name, _ in mode.sensor.sensors}
+    by_name = sensors.issuperset(names) or (len(parts) > 1 and any(part.ndim > 1 for part in parts))
+    ys: Any = dict(zip(names, parts, strict=True)) if by_name else parts[0] if parts[0].ndim > 1 else np.stack(parts, axis=1)
     inputs = {name: column(name) for name in data.inputs} or None
     truth = np.stack([column(name) for name in data.truth], axis=1) if data.truth else None
     if truth is not None and truth.shape[1] != model.size:

@@ -13,7 +13,7 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from motes.cli.options import KINDS, refuse, shown
@@ -49,13 +49,14 @@ def kinds(base: type) -> dict[str, type]:
             and dataclasses.is_dataclass(one)}  # fmt: skip
 
 
-def build(base: type, choice: Any, place: str) -> Any:
+def build(base: type, choice: Any, place: str, n: int | None = None) -> Any:
     """Return the record that a choice names.
 
     Args:
         base: what it must be: `Filter`, `Smoother`, `Scheme`, ...
         choice: a name, or a table with `kind` and parameters.
         place: where it stands, for messages.
+        n: number of particles where the choice gives none and the kind asks for one.
 
     Raises:
         MotesError: there is no such kind or parameter, or a value cannot be used; the message names the place.
@@ -72,6 +73,8 @@ def build(base: type, choice: Any, place: str) -> Any:
         refuse(f"{place} {KIND}", f"the name of a {base.__name__}, such as {', '.join(near)}", shown(table[KIND]))
     fields = {field.name: field for field in dataclasses.fields(kind) if field.init is not False}
     given = {name: value for name, value in table.items() if name != KIND}
+    if n is not None and "n" in fields:
+        given.setdefault("n", n)
     unknown = sorted(set(given) - set(fields))
     if unknown:
         refuse(f"{place}", f"parameters of {kind.__name__}: {', '.join(fields) or 'none'}", shown(unknown[0]))
@@ -79,11 +82,19 @@ def build(base: type, choice: Any, place: str) -> Any:
                and field.default_factory is dataclasses.MISSING and name not in given]  # fmt: skip
     if missing:
         refuse(f"{place} {missing[0]}", f"a value, which {kind.__name__} asks for", "none", f"Give --{place}.{missing[0]}.")
-    n = given.get("n")
-    if isinstance(n, int) and n > MOST:
-        refuse(f"{place} n", f"at most {MOST} particles", n)
+    many = given.get("n")
+    if isinstance(many, int) and many > MOST:
+        refuse(f"{place} n", f"at most {MOST} particles", many)
     hints = typing.get_type_hints(kind)
-    return kind(**{name: _field_value(hints[name], value, f"{place} {name}") for name, value in given.items()})
+    whole = {name: _whole(value, fields[name].default) for name, value in given.items()}
+    return kind(**{name: _field_value(hints[name], value, f"{place} {name}") for name, value in whole.items()})
+
+
+def _whole(value: Any, default: Any) -> Any:
+    """Return a choice; a table without a kind changes what is there by default."""
+    if isinstance(value, dict) and KIND not in value and dataclasses.is_dataclass(default):
+        return choice_of(default) | value
+    return value
 
 
 def _field_value(hint: Any, value: Any, place: str) -> Any:
@@ -94,6 +105,8 @@ def _field_value(hint: Any, value: Any, place: str) -> Any:
     records = [one for one in options if inspect.isclass(one) and (dataclasses.is_dataclass(one) or inspect.isabstract(one))]
     if records and isinstance(value, (str, dict)):
         return build(records[0], value, place)
+    if isinstance(value, dict) and any(typing.get_origin(one) is Mapping for one in options):
+        return value
     plain = [one for one in options if one in (int, float, str, bool)]
     if float in plain and type(value) is int:
         return float(value)
@@ -112,7 +125,7 @@ def flags_of(words: Sequence[str], roots: Sequence[str]) -> tuple[dict[str, Any]
         A table for each root that was named, with tables inside; and the other words.
 
     Raises:
-        MotesError: a flag has no value.
+        MotesError: a flag has no value, or comes twice.
     """
     found: dict[str, Any] = {}
     rest, at = [], 0
@@ -128,20 +141,21 @@ def flags_of(words: Sequence[str], roots: Sequence[str]) -> tuple[dict[str, Any]
                 refuse(word, "a value after it", "nothing")
             value, at = words[at + 1], at + 1
         place = word[2:].split(".") + ([KIND] if word.count(".") == 0 else [])
-        _put(found, place, _literal(value))
+        _put(found, place, _literal(value), word)
         at += 1
     return found, rest
 
 
-def _put(table: dict[str, Any], place: list[str], value: Any) -> None:
+def _put(table: dict[str, Any], place: list[str], value: Any, flag: str) -> None:
     for name in place[:-1]:
         inner = table.get(name)
         table[name] = inner if isinstance(inner, dict) else {} if inner is None else {KIND: inner}
         table = table[name]
     if isinstance(table.get(place[-1]), dict):
-        table[place[-1]][KIND] = value
-    else:
-        table[place[-1]] = value
+        table, place = table[place[-1]], [KIND]
+    if place[-1] in table:
+        refuse(flag, "one value", f"{shown(table[place[-1]])} and {shown(value)}")
+    table[place[-1]] = value
 
 
 def _literal(text: str) -> Any:
@@ -156,6 +170,8 @@ def merged(table: Any, flags: Any) -> Any:
     """Return the choice of a file with what flags change of it; another kind begins anew."""
     if not isinstance(flags, dict):
         return flags
+    if not isinstance(table, (str, dict, types.NoneType)):
+        return flags or table
     base = {KIND: table} if isinstance(table, str) else dict(table or {})
     if KIND in flags and spelled(str(flags[KIND])) != spelled(str(base.get(KIND, flags[KIND]))):
         base = {}

@@ -60,6 +60,8 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
     filters = wish.filters(job, "filter", "filters")
     if job.about():
         print(job.about())
+    if smoother is not None:
+        running.check_smoother(settings.seed, smoother, filters, job)
     outcomes = running.race(settings.seed, filters, job, keep.laws if smoother else job.keep)
     histories = {name: outcome.history for name, outcome in outcomes.items()}
     scores = {name: job.scores(history) for name, history in histories.items()}

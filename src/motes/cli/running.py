@@ -21,12 +21,13 @@ from motes.core.checks import FileError, need, refuse
 from motes.core.progress import is_shown
 from motes.core.record import replace
 from motes.core.watchdog import watched
+from motes.filters import keep
 from motes.filters.data import checked_data, steps_of
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
 from motes.filters.notices import notices
-from motes.filters.run import run_in_chunks
+from motes.filters.run import run, run_in_chunks
 from motes.io.archive import provenance, whole_file
 from motes.io.files import label
 from motes.io.result_table import Table
@@ -111,6 +112,20 @@ def steps(history: History) -> int:
 def size(filter: Filter) -> str:
     """Return the number of particles of a filter as a table shows it; a dash where it has none."""
     return str(vars(filter).get("n", "-"))
+
+
+def check_smoother(seed: int, smoother: Smoother, filters: Mapping[str, Filter], job: Job) -> None:
+    """Refuse, before the work and not after it, a smoother that does not fit a filter: both are traced over two steps, nothing is computed.
+
+    Raises:
+        MotesError: it does not fit.
+    """
+    ys, inputs = jax.tree.map(lambda leaf: leaf[:2], checked_data(job.model, job.ys, job.inputs))
+    for filter in filters.values():
+        def both(key: jax.Array, filter: Filter = filter) -> Any:
+            return smooth(key, smoother, job.model, run(key, filter, job.model, ys, inputs, keep=keep.laws), ys, inputs)
+
+        jax.eval_shape(both, jax.random.key(seed))
 
 
 def write_smoothed(path: Path, seed: int, smoother: Smoother, job: Job, history: History) -> None:

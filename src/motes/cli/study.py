@@ -4,6 +4,7 @@ The runs are kept in the folder `--out`: a study that was stopped goes on where 
 `table.csv`, `study.png` and `report.html` beside them.
 """
 
+import sys
 from collections.abc import Sequence
 
 from motes.cli.asked import Study, asked
@@ -27,6 +28,7 @@ def main(words: Sequence[str]) -> None:
     import jax
 
     from motes.cli import running
+    from motes.core.checks import positive_integer
     from motes.plotting.plot import plot
     from motes.report.html import report
     from motes.studies.experiment import Experiment
@@ -37,16 +39,22 @@ def main(words: Sequence[str]) -> None:
     running.check_folder(settings.out)
     job = wish.job()
     filters = wish.filters(job, "filters", "filter")
+    if settings.steps is not None:
+        positive_integer("steps", settings.steps)
     there = {leaf.shape[0] for leaf in jax.tree.leaves(job.inputs)}
     steps = settings.steps or min(there, default=STEPS)
     if there and steps > min(there):
         refuse("steps", f"at most {min(there)}, as many as there are inputs", steps)
     inputs = jax.tree.map(lambda leaf: leaf[:steps], job.inputs)
-    folder = running.made_folder(settings.out)
     experiment = Experiment(job.model, filters, steps, settings.runs, settings.seed, inputs, blocks=job.blocks, lost=job.lost)
-    result = study(experiment, store=folder / "runs")
+    folder = running.made_folder(settings.out)
+    try:
+        result = study(experiment, store=folder / "runs")
+    except KeyboardInterrupt:
+        print(f"motes study: runs that were done are kept in {folder}; the same command goes on with the others.", file=sys.stderr)
+        raise
     table = result.table()
-    print(table)
+    running.show("", table.columns, table.texts())
     table.save(folder / "table.csv")
     running.write_figure(folder / "study.png", plot(result))
     report(result, folder / "report.html")

@@ -218,7 +218,7 @@ def positive_integer(argument: str, value: Any) -> None:
 
 def above_zero(argument: str, value: Any, top: float = float("inf")) -> None:
     """Refuse what is not a number above zero and at most `top`, as far as it is known."""
-    if is_concrete(value) and not (np.ndim(value) == 0 and 0 < value <= top):
+    if is_concrete(value) and not (np.ndim(value) == 0 and np.asarray(value).dtype.kind in "biuf" and 0 < value <= top):
         refuse(argument, "a number above 0" + ("" if top == float("inf") else f" and at most {top:g}"), value)
 
 

@@ -9,9 +9,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks
 from motes.core.record import record, static
+from motes.core.user_functions import called
 from motes.filters.info import Info
 from motes.filters.interface import Guide
 from motes.filters.wrapper import Wrapper
@@ -61,6 +63,9 @@ class Adapting(Wrapper):
         """
         if not callable(self.learn):
             checks.refuse("Adapting learn", "a function (key, memory, law, y, u, t)", type(self.learn).__name__)
+        for leaf in jax.tree.leaves(self.memory):
+            if not isinstance(leaf, jax.Array) and np.asarray(leaf).dtype.kind not in "biuf":
+                checks.refuse("Adapting memory", "a tree of arrays of numbers", type(leaf).__name__)
 
     adds_inputs = True  # type: ignore[assignment]
 
@@ -96,6 +101,13 @@ class Adapting(Wrapper):
 
     def after(self, key: jax.Array, before: Carried, law: Any, info: Info, y: Any, u: Any, t: Any) -> tuple[Carried, Info]:
         """Learn from the law and the measurement."""
-        learned = self.learn(key, before.beside, law, value_of(y), u, t)
+        learned = called("Adapting learn(key, memory, law, y, u, t)", self.learn, key, before.beside, law, value_of(y), u, t)
+        if _form(learned) != _form(before.beside):
+            checks.refuse("Adapting learn", f"a memory of the form {_form(before.beside)}", _form(learned))
         missing = is_nothing(y)
         return Carried(law, jax.tree.map(lambda new, old: jnp.where(missing, old, new), learned, before.beside)), info
+
+
+def _form(memory: Any) -> str:
+    """Say what a memory is made of."""
+    return str(jax.tree.map(lambda leaf: f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}", memory)).replace("'", "")

@@ -71,13 +71,19 @@ class AdaptiveSize(Wrapper):
             inner = inner.filter
         if "n" not in values(inner):
             checks.refuse("AdaptiveSize filter", "one with a number of particles n", type(inner).__name__)
-        for size in self.sizes or (0,):
+        for name in ("sizes", "widths"):
+            if not isinstance(getattr(self, name), (tuple, list)) or not getattr(self, name):
+                checks.refuse(f"AdaptiveSize {name}", "some numbers, in a tuple", getattr(self, name))
+        for size in self.sizes:
             checks.positive_integer("AdaptiveSize sizes", size)
         if list(self.sizes) != sorted(set(self.sizes)):
             checks.refuse("AdaptiveSize sizes", "numbers that increase", self.sizes)
-        if not self.widths or not all(width > 0 for width in self.widths):
+        if not all(isinstance(width, (int, float)) and width > 0 for width in self.widths):
             checks.refuse("AdaptiveSize widths", "a width above 0 for each state", self.widths)
+        if all(width == float("inf") for width in self.widths):
+            checks.refuse("AdaptiveSize widths", "a finite width for one state at least", self.widths)
         for name in ("error", "level"):
+            checks.above_zero(f"AdaptiveSize {name}", getattr(self, name))
             if not 0 < getattr(self, name) < 1:
                 checks.refuse(f"AdaptiveSize {name}", "a number between 0 and 1", getattr(self, name))
 

@@ -72,10 +72,11 @@ class Filter(ABC):
         checks.option(f"{type(self).__name__} on_collapse", self.on_collapse, ("raise", "predict", "inflate"))
         if isinstance(self.gate, Mapping):
             object.__setattr__(self, "gate", tuple(self.gate.items()))
-        for gate in (one for _, one in self.gate) if isinstance(self.gate, tuple) else [] if self.gate is None else [self.gate]:
-            if not (isinstance(gate, float) and 0 < gate < 1):
+        gates = dict(self.gate) if isinstance(self.gate, tuple) else {} if self.gate is None else {"": self.gate}
+        for name, gate in gates.items():
+            if not (isinstance(name, str) and isinstance(gate, float) and 0 < gate < 1):
                 expected = "a probability between 0 and 1, such as 0.9999, a dictionary of such by sensor, or None"
-                checks.refuse(f"{type(self).__name__} gate", expected, repr(gate))
+                checks.refuse(f"{type(self).__name__} gate", expected, repr(gate if name == "" else {name: gate}))
         self.check_parameters()
 
     def with_gate(self, gate: float | None) -> "Filter":

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
 from motes.core.record import record, replace, static
+from motes.core.user_functions import called
 from motes.filters.info import Info
 from motes.filters.interface import Guide
 from motes.filters.wrapper import Wrapper, cloud_of, with_cloud
@@ -64,6 +65,8 @@ class Recovering(Wrapper):
         """
         if not callable(self.fresh):
             checks.refuse("Recovering fresh", "a function (key, y, u, t) that draws a state", type(self.fresh).__name__)
+        for name in ("slow", "fast", "margin"):
+            checks.above_zero(f"Recovering {name}", getattr(self, name))
         if not 0 < self.slow < self.fast <= 1:
             checks.refuse("Recovering slow, fast", "0 < slow < fast <= 1", f"{self.slow} and {self.fast}")
         if not self.margin >= 1:
@@ -93,7 +96,7 @@ class Recovering(Wrapper):
             n = cloud.log_weights.shape[0]
             chosen = Systematic().ancestors(random.child(key, random.RESAMPLE), cloud.log_weights, n)
             keys = random.step_keys(random.child(key, random.NOISE), n)
-            drawn = jax.vmap(lambda key: jnp.asarray(self.fresh(key, value_of(y), u, t)).astype(cloud.particles.dtype), out_axes=-1)(keys)
+            drawn = jax.vmap(lambda key: self._drawn(key, value_of(y), u, t, cloud.particles), out_axes=-1)(keys)
             new = random.uniform(random.child(key, random.UPDATE), (n,), cloud.log_weights.dtype) < rate
             kept = replace(cloud.resampled(chosen), ancestors=cloud.ancestors[chosen])
             return replace(kept, particles=jnp.where(new, drawn, kept.particles)), jnp.mean(new, dtype=rate.dtype)
@@ -101,6 +104,14 @@ class Recovering(Wrapper):
         cloud, share = jax.lax.cond(rate > 0, anew, lambda: (cloud, jnp.zeros_like(rate)))
         size = jnp.where(share > 0, logspace.effective_size(cloud.log_weights), info.ess)
         return Carried(with_cloud(law, cloud), (slow, fast)), replace(info, recovered=share, ess=size)
+
+
+    def _drawn(self, key: jax.Array, y: Any, u: Any, t: Any, particles: jax.Array) -> jax.Array:
+        """Draw a state of the user's function."""
+        drawn = called("Recovering fresh(key, y, u, t)", self.fresh, key, y, u, t)
+        if jnp.shape(drawn) != particles.shape[:1]:
+            checks.refuse("Recovering fresh", f"a state {particles.shape[:1]}", f"shape {jnp.shape(drawn)}")
+        return jnp.asarray(drawn).astype(particles.dtype)
 
 
 def _running_mean(log_mean: jax.Array, log_value: jax.Array, share: float) -> jax.Array:

@@ -40,6 +40,8 @@ def times(values: Any, *, repeats: bool = True, name: str = "times", rows: Seque
     order = "times that never decrease" if repeats else "times that increase"
     steps = np.diff(seconds)
     good = np.isfinite(seconds) & np.concatenate([[True], steps >= 0 if repeats else steps > 0])
+    if not np.isfinite(seconds).all():
+        order = "a time in every row"
     if not good.all():
         row = int(np.argmin(good))
         given = f"{start + seconds[row]!s}" if np.isfinite(seconds[row]) else "none" if np.isnan(seconds[row]) else "an infinite one"
@@ -76,7 +78,8 @@ def in_seconds(values: Any, name: str = "times") -> tuple[float, np.ndarray]:
         if array.dtype.kind not in "biufmM":
             raise TypeError
     except (TypeError, ValueError, OverflowError):
-        refuse(name, "numbers of seconds, or times with a unit of their own", type(values).__name__[:60])
+        refuse(name, "numbers of seconds, or times with a unit of their own", type(values).__name__[:60],
+               "Texts become times by np.array(texts, 'datetime64[ms]') or pandas.to_datetime.")  # fmt: skip
     return _ticks(array, name) if array.dtype.kind in "mM" else (0.0, array.astype(np.float64))
 
 

@@ -52,9 +52,13 @@ class Table:
         drawn = Drawn(box=box.SIMPLE_HEAD)
         for place, name in enumerate(self.columns):
             drawn.add_column(Text(name), justify="right" if _is_number(self.rows, place) else "left", no_wrap=True)
-        for row in self.rows:
-            drawn.add_row(*(Text(shown(cell)) for cell in row))
+        for row in self.texts():
+            drawn.add_row(*map(Text, row))
         return drawn
+
+    def texts(self) -> list[list[str]]:
+        """Return the cells of each row as people see them."""
+        return [[shown(cell) for cell in row] for row in self.rows]
 
     def _repr_markdown_(self) -> str:
         return self.to_markdown()
@@ -62,7 +66,7 @@ class Table:
     def to_markdown(self) -> str:
         """Return the table in Markdown."""
         numbers = [_is_number(self.rows, place) for place in range(len(self.columns))]
-        return markdown.table(self.columns, [[shown(cell) for cell in row] for row in self.rows], numbers)
+        return markdown.table(self.columns, self.texts(), numbers)
 
     def to_latex(self) -> str:
         """Return a LaTeX tabular environment (with the rules of the package booktabs)."""

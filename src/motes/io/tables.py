@@ -20,6 +20,7 @@ from motes.io.json_tables import JSON_START, read_json, unzipped
 
 DELIMITERS = ",;\t"
 LINE_END = re.compile("\r\n|\r|\n")
+_EMPTY = 'An empty cell of a single column is written "".'
 _DECIMAL_COMMA = "If commas stand for decimal points, write points, or separate columns by semicolons and write points."
 LARGEST = 20_000_000
 WIDEST = 100_000
@@ -118,7 +119,7 @@ def _collect(path: Any, rows: Any, width: int, places: list[int], cells: list[li
             pass
         elif first_blank or len(row) != width:
             given, where = (0, first_blank) if first_blank else (len(row), line)
-            hint = "" if first_blank or given < width else _DECIMAL_COMMA
+            hint = _EMPTY if width == 1 else "" if first_blank or given < width else _DECIMAL_COMMA
             reject(path, f"{width} fields as in the line of names", f"{given} in line {where}", hint)
         else:
             for column, place in zip(cells, places, strict=True):

@@ -28,7 +28,8 @@ def simulate(key: KeyLike, model: Model, steps: int, inputs: Inputs = None) -> t
         inputs: tree with the time axis first, or None.
 
     Returns:
-        States `(t, x)` and measurements `(t, y)`, or in the form that a `Custom` sensor draws, time axis first.
+        States `(t, x)` and measurements `(t, y)`, or in the form that a `Custom` sensor draws, time axis first. Those of several sensors
+        with Gaussian noise (`Independent`) are an array with the components of one sensor after those of the other, which `run` takes, too.
 
     Raises:
         MotesError: steps is not a positive whole number, or inputs and model do not fit together.

@@ -72,7 +72,7 @@ def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensor
 def _counted(name: str, ys: Any, seconds: np.ndarray) -> np.ndarray:
     lengths = {np.shape(leaf)[0] if np.ndim(leaf) else 0 for leaf in jax.tree.leaves(ys)}
     if lengths != {seconds.size}:
-        checks.refuse(name, f"a measurement for each of {seconds.size} stamps", f"{', '.join(map(str, sorted(lengths))) or 'none'}")
+        checks.refuse(name, f"a row for each of {seconds.size} stamps", f"{', '.join(map(str, sorted(lengths))) or 'none'}")
     return seconds
 
 
@@ -89,7 +89,10 @@ def _with_steps(inputs: Inputs, seconds: np.ndarray) -> dict[str, Any]:
         checks.refuse("times inputs", "a dictionary of inputs by name", type(inputs).__name__)
     if inputs is not None and "dt" in inputs:
         checks.refuse("times inputs", "other names than 'dt', which is the time between steps", "'dt'")
-    return {**(inputs or {}), "dt": np.diff(seconds, prepend=seconds[:1]).astype(np.float32)}
+    given = {name: np.asarray(value) if isinstance(value, (list, tuple)) else value for name, value in (inputs or {}).items()}
+    for name, value in given.items():
+        _counted(f"times inputs {name!r}", value, seconds)
+    return {**given, "dt": np.diff(seconds, prepend=seconds[:1]).astype(np.float32)}
 
 
 def _spread(ys: Any, rows: list[int], steps: int) -> Any:

@@ -14,6 +14,7 @@ from motes.applications.aircraft.pictures import track_figure
 from motes.applications.aircraft.settings import Settings
 from motes.applications.aircraft.world import Reports, flown_reports
 from motes.applications.interface import Job, Score
+from motes.core import checks
 from motes.filters import keep
 from motes.filters.history import History
 from motes.filters.interacting_multiple_model import InteractingMultipleModel
@@ -35,6 +36,8 @@ def load(settings: Settings, seed: int) -> "AircraftJob":
         FileError: the file cannot be used.
         MotesError: a setting cannot be used.
     """
+    for name in ("distance", "azimuth"):
+        checks.above_zero(f"plots {name}", getattr(settings.plots, name))
     site, radar = (settings.site.east, settings.site.north), Radar(settings.plots.distance, settings.plots.azimuth)
     reports = None if settings.data else flown_reports(seed, settings.duration)
     if reports is None:
@@ -70,7 +73,7 @@ class AircraftJob(Job):
     def title(self, steps: int) -> str:
         """Return how many plots there were."""
         seen = int((~np.isnan(np.asarray(self.ys)).any(axis=1)).sum())
-        return f"{seen} plots in {steps} steps over {self.times[-1]:.0f} s"
+        return f"{seen} plots in {steps} steps over {self.times[-1]:.0f} s; errors at the plots after the first {scenario.UNSCORED}"
 
     def scores(self, history: History) -> tuple[Score, ...]:
         """Judge a run by the true path."""

@@ -31,7 +31,8 @@ def track_figure(history: History, job: Track) -> Any:
     axes["error"].fill_between(seconds, 0, 2 * np.sqrt(cov[:, 0, 0] + cov[:, 1, 1]), color=ESTIMATE, alpha=0.22, linewidth=0,
                                label="two standard deviations")  # fmt: skip
     axes["error"].plot(seconds, error, color=TRUE, linewidth=0.8, label="actual")
-    axes["error"].set(title="Error of the position", ylabel="m", ylim=(0, 1.3 * max(np.quantile(error, 0.995), 1.0)))
+    axes["error"].set(title="Error of the position, also where no plot came", ylabel="m",
+                      ylim=(0, 1.3 * max(np.quantile(error, 0.995), 1.0)))  # fmt: skip
     axes["error"].legend(loc="upper right", ncols=2, frameon=False, fontsize="small")
     if knows_modes:
         axes["mode"].plot(seconds, np.asarray(history.mode_probabilities)[:, 1], color=INERTIAL, linewidth=0.8)
