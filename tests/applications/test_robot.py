@@ -301,6 +301,7 @@ def test_a_backward_column_would_lose_the_track(file):
     assert job.score(run(lost), lost).rms > 3
 
 
+@pytest.mark.night
 def test_a_second_recording_is_as_good_as_the_first(file):
     second = SECOND["mirrored"](read_plaza(file))
     made = job.scenario(second, job.drifting_turns(second))

@@ -126,6 +126,7 @@ def test_voids_tell_nothing(terrain):
     assert np.isfinite(np.asarray(history.mean)).all() and not np.asarray(history.info.invalid).any()
 
 
+@pytest.mark.night
 def test_voids_out_of_reach_cost_nothing(terrain):
     heights = np.asarray(terrain.heights).copy()
     heights[300:310, 10:20] = np.nan

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import motes as mo
+from tiers import each
 
 STEPS = 12
 RADAR = mo.AdditiveGaussian(lambda x, u, t: jnp.stack([jnp.hypot(x[0], x[1]), jnp.arctan2(x[1], x[0])]), np.diag([4.0, 1e-3]), angles=(1,))
@@ -114,7 +115,7 @@ def without(named, speeds, radars):
     return kept
 
 
-@pytest.mark.parametrize("name", GATED)
+@pytest.mark.parametrize("name", each(list(GATED), {"wrapped", "cubature", "extended Kalman"}))
 def test_each_sensor_is_held_against_its_gate_alone(name):
     filter, ys = GATED[name], disturbed()
     found, wanted = mo.run(1, filter(gate=0.9999), GAUSSIAN, ys), mo.run(1, filter(), GAUSSIAN, without(ys, [3, 7], 9))

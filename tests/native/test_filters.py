@@ -82,7 +82,7 @@ def test_results_of_jax_without_resampling(kind, name):
         {str(mo.resampling.Always()), str(mo.resampling.Entropy(0.7))},
     ),
 )
-@pytest.mark.parametrize("kind", FILTERS)
+@pytest.mark.parametrize("kind", each(list(FILTERS), {"bootstrap"}))
 def test_likelihood_of_jax_with_resampling(kind, policy):
     """After resampling a rounding here and there gives another ancestor: results agree within Monte Carlo error, at first to rounding."""
     filter = FILTERS[kind](n=20_000, policy=policy)

@@ -119,6 +119,7 @@ def test_metropolis_moves_particles_and_only_where_there_is_noise():
     assert different(np.diag([0.5, 0.0])) == 0
 
 
+@pytest.mark.night
 def test_a_marginalized_filter_takes_it_too(double):
     """Without process noise in the particle part, resampling leaves few values; a kernel makes all different, the Kalman answer stays."""
     model = mo.StateSpaceModel(

@@ -108,6 +108,7 @@ def test_particle_gibbs(exact, paths):
     assert chains.acceptance[type(paths).__name__] > 0.8
 
 
+@pytest.mark.night
 @pytest.mark.parametrize(
     "scheme",
     [
@@ -247,6 +248,7 @@ def test_liu_west_comes_near(exact):
     assert abs(found.log_likelihood - evidence) < 0.4
 
 
+@pytest.mark.night
 def test_iterated_filtering_climbs_to_the_maximum():
     posterior = parameters.Posterior(PRIOR, model, mo.KalmanFilter(), YS)
 

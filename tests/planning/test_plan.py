@@ -66,7 +66,7 @@ def test_budget(clock):
     assert flops["extended Kalman filter"] is None
     counted = mo.costs.complexity(2, 0, n["particle filter"], CONSTANTS.costs) * 1e-10
     assert flops["particle filter"] == pytest.approx(1e3 * counted)
-    assert found.choice.n % 16 == 0 and "choice" in str(found) and "ms a step" in str(found)
+    assert found.choice.n == n[names[0]] and found.choice.n % 16 == 0 and "choice" in str(found) and "ms a step" in str(found)
 
 
 def test_states_that_count(clock):

@@ -37,6 +37,7 @@ def test_derivative_of_the_likelihood_is_unbiased(look_ahead, double):
         assert (abs(off.mean()) < 4 * off.std(ddof=1) / np.sqrt(len(off))) == kept
 
 
+@pytest.mark.night
 def test_values_are_those_of_the_scheme(double):
     plain, wrapped = (
         mo.run(1, mo.ParticleFilter(n=60, scheme=s), model(0.8), YS) for s in (mo.resampling.Systematic(), mo.resampling.StopGradient())

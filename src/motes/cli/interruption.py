@@ -18,6 +18,7 @@ CODE = 130
 SHOW_CURSOR = "\x1b[?25h\n"
 
 _ending = threading.Lock()
+_kept = ""
 
 
 def heed(name: str) -> None:
@@ -38,6 +39,12 @@ def heed(name: str) -> None:
     threading.Thread(target=_listen, args=(reader, name), name="interruption", daemon=True).start()
 
 
+def keeps(where: str) -> None:
+    """Have the line say from now on that what was done is kept, and where."""
+    global _kept
+    _kept = f"; what was done is kept in {where}, and the same command goes on from there"
+
+
 def _listen(reader: int, name: str) -> None:
     while os.read(reader, 1) != bytes([signal.SIGINT]):
         pass
@@ -49,7 +56,7 @@ def _end(name: str) -> None:
         return
     remove_unfinished()
     # not by way of Python's streams, whose locks the main thread may hold
-    line = (SHOW_CURSOR if os.isatty(2) else "") + f"{name}: interrupted\n"
+    line = (SHOW_CURSOR if os.isatty(2) else "") + f"{name}: interrupted{_kept}\n"
     try:
         os.write(2, line.encode())
     finally:

@@ -4,9 +4,9 @@ The runs are kept in the folder `--out`: a study that was stopped goes on where 
 `table.csv`, `study.png` and `report.html` beside them.
 """
 
-import sys
 from collections.abc import Sequence
 
+from motes.cli import interruption
 from motes.cli.asked import Study, asked
 from motes.cli.compiled import keep_programs
 from motes.cli.options import check_seed, refuse
@@ -29,6 +29,7 @@ def main(words: Sequence[str]) -> None:
 
     from motes.cli import running
     from motes.core.checks import positive_integer
+    from motes.io.files import label
     from motes.plotting.plot import plot
     from motes.report.html import report
     from motes.studies.experiment import Experiment
@@ -48,11 +49,8 @@ def main(words: Sequence[str]) -> None:
     inputs = jax.tree.map(lambda leaf: leaf[:steps], job.inputs)
     experiment = Experiment(job.model, filters, steps, settings.runs, settings.seed, inputs, blocks=job.blocks, lost=job.lost)
     folder = running.made_folder(settings.out)
-    try:
-        result = study(experiment, store=folder / "runs")
-    except KeyboardInterrupt:
-        print(f"motes study: runs that were done are kept in {folder}; the same command goes on with the others.", file=sys.stderr)
-        raise
+    interruption.keeps(label(folder))
+    result = study(experiment, store=folder / "runs")
     table = result.table()
     running.show("", table.columns, table.texts())
     table.save(folder / "table.csv")

@@ -143,8 +143,9 @@ def plan(
     by = (lambda name: found[name].error) if accuracy is None else (lambda name: fitting[name].seconds)
     order = sorted(fitting, key=lambda name: (accuracy is None and found[name].runs < most, by(name)))
     least = _least(last, unit)
-    rows = tuple(_row(name, fitting[name], found[name], least) for name in order)
     best = clock.refined(fitting[order[0]], budget)
+    sized = {**fitting, order[0]: best}
+    rows = tuple(_row(name, sized[name], found[name], least) for name in order)
     measured = seconds_per_step(best.filter, model, clock.ys, pilot.inputs, span=LONG) if verify else None
     return Plan(best.filter, best.seconds, Table(COLUMNS, rows), measured)
 

@@ -94,7 +94,9 @@ class Clock(NamedTuple):
         if n is None or budget is None:
             return sized._replace(seconds=measured)
         better = _in_lanes(n * budget / measured)
-        return sized._replace(filter=replace(sized.filter, n=better), seconds=measured * better / n)
+        chosen = replace(sized.filter, n=better)
+        by_flops = None if sized.by_flops is None else self.by_flops(Candidate("", chosen, tuple(getattr(chosen, "linear", None) or ())))
+        return Sized(chosen, measured * better / n, by_flops)
 
     def _sized(self, candidate: Candidate, budget: float) -> Sized | float:
         """Return the candidate with n, or the seconds of its cheapest step."""
