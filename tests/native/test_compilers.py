@@ -1,5 +1,6 @@
 """The engine's C++ is taken by every compiler and standard library that is here, and computes the same."""
 
+import os
 import subprocess
 
 import jax.numpy as jnp
@@ -83,3 +84,33 @@ def test_the_compiler_of_the_environment(words, found, monkeypatch):
         assert (compile.compiler()[1:] == ("-DNDEBUG",)) == found
     finally:
         compile.compiler.cache_clear()
+
+
+@needs_compiler
+def test_what_is_kept_has_a_bound_and_what_is_broken_is_compiled_again(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = tmp_path / "motes" / "native"
+    sources = [f'extern "C" __attribute__((visibility("default"))) int number() {{ return {place}; }}' for place in range(4)]
+
+    def number(place):
+        compile._loaded.clear()
+        return compile.shared_object(sources[place])[1].number()
+
+    def kept():
+        return {path.stem: path.stat().st_mtime for path in folder.glob("*.so")}
+
+    assert [number(place) for place in range(3)] == [0, 1, 2] and len(kept()) == 3
+    for age, path in enumerate(sorted(folder.glob("*.so"))):
+        os.utime(path, (1e9 + age, 1e9 + age))
+    before = kept()
+    oldest = min(before, key=before.get)
+    assert [number(place) for place in range(3)] == [0, 1, 2] and min(kept().values()) > 1.1e9, "what is loaded counts as used"
+    os.utime(folder / f"{oldest}.so", (1e9, 1e9))
+    monkeypatch.setattr(compile, "MOST_KEPT", sum(path.stat().st_size for path in folder.glob("*.so")))
+    assert number(3) == 3 and len(kept()) == 3 and oldest not in kept()
+    monkeypatch.setattr(compile, "MOST_KEPT", 1)
+    broken = folder / f"{min(kept())}.so"
+    broken.unlink()  # this process has it in its memory
+    broken.write_bytes(b"broken")
+    assert [number(place) for place in range(4)] == [0, 1, 2, 3], "each is found, or compiled anew"
+    assert len(kept()) == 1

@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import jax
@@ -25,6 +26,8 @@ FLAGS = (
 """No flag lets the compiler take NaN for impossible or reorder a sum that is not marked. Hidden names keep the kernels of different models,
 which have the same names inside, apart."""
 SECONDS = 300
+MOST_KEPT = 500_000_000
+"""Bytes of compiled kernels that are kept on disk."""
 
 
 class CompileError(Exception):
@@ -84,11 +87,33 @@ def shared_object(source: str) -> tuple[str, ctypes.CDLL]:
     if mark not in _loaded:
         folder = private_folder("native")
         kept = folder / f"{mark}.so" if folder else None
-        if kept is not None and kept.exists():
-            _loaded[mark] = ctypes.CDLL(str(kept))
-        else:
-            _loaded[mark] = _built(source, kept)
+        _loaded[mark] = _found(kept) or _built(source, kept)
     return mark, _loaded[mark]
+
+
+def _found(kept: Path | None) -> ctypes.CDLL | None:
+    """Load a library that is kept, and mark it as used now; None where there is none, or none that loads."""
+    if kept is None or not kept.exists():
+        return None
+    try:
+        os.utime(kept)
+        return ctypes.CDLL(str(kept))
+    except OSError:  # another process has just removed it, or the disk has lost a part of it
+        return None
+
+
+def _prune(folder: Path, spared: Path) -> None:
+    """Remove the libraries that were used least recently, beyond what is kept; those in use by other processes stay in their memory."""
+    found = []
+    for path in folder.glob("*.so"):
+        with suppress(OSError):
+            status = path.stat()
+            found.append((status.st_mtime, status.st_size, path))
+    total = sum(size for _, size, _ in found)
+    for _, size, path in sorted(found):
+        if total > MOST_KEPT and path != spared:
+            path.unlink(missing_ok=True)
+            total -= size
 
 
 def _built(source: str, kept: Path | None) -> ctypes.CDLL:
@@ -107,6 +132,7 @@ def _built(source: str, kept: Path | None) -> ctypes.CDLL:
             return ctypes.CDLL(str(made))
         # whole or not at all: another process may be looking for the same file
         os.replace(made, kept)
+    _prune(kept.parent, kept)
     return ctypes.CDLL(str(kept))
 
 
