@@ -85,7 +85,7 @@ def test_numbers_that_cannot_be_are_named_with_file_and_line(folder, capsys, out
 
 
 @pytest.mark.parametrize(("row", "value", "words"), [
-    (3, "0.3", ("line 5", "increase")), (3, "", ("line 5", "increase")), (3, "0.6", ("line 5",)),
+    (3, "0.3", ("line 5", "increase")), (3, "", ("line 5", "a time in every row")), (3, "0.6", ("line 5",)),
     (ROUTE - 1, "1e15", ("seconds",)), (0, "nan", ("line 2",))])
 def test_times_name_the_file_and_the_line(folder, capsys, row, value, words):
     said(capsys, ["run", rewritten(folder, cell(row, "time", value))], "flight.csv", *words)
