@@ -15,12 +15,12 @@ import pytest
 
 import motes as mo
 from test_documents import ROOT
-from tiers import NIGHT, each
+from tiers import NIGHT, but_one_in, each
 
 PAGES = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
          if "```python" in path.read_text()]  # fmt: skip
 FEWER = (("n=2_574", "n=64"), ("n=2_000", "n=64"), ("steps=100", "steps=8"))
-BY_NIGHT = {"chains.md", "parameters.md", "studies.md"}
+BY_NIGHT = {"chains.md", "parameters.md", "studies.md", "CONTRIBUTING.md"}
 """Pages that take long, of what other tests run, too."""
 SMALLER = {
     "README.md": (
@@ -84,10 +84,10 @@ def methods():
 METHODS = methods()
 LONG = {"ParticleGibbs", "RaoBlackwellizedParticleGibbs", "PseudoMarginal", "AdaptiveSize", "NUTS", "HMC", "GaussianFilter",
         "ReversibleJump", "MixtureSmoother", "RaoBlackwellizedSmoother"}  # fmt: skip
-"""Those whose example takes long, or is that of others once more: by night."""
+"""Those whose example takes long, or is that of others once more: by night, as is every second one of the others."""
 
 
-@pytest.mark.parametrize("method", each({one.__name__: one for one in METHODS}, LONG))
+@pytest.mark.parametrize("method", each({one.__name__: one for one in METHODS}, LONG | but_one_in([one.__name__ for one in METHODS], 2)))
 def test_example_of_a_method_runs(method):
     found = doctest.DocTestParser().get_doctest(inspect.getdoc(method), {"mo": mo, "jax": jax, "jnp": jnp}, method.__name__, None, 0)
     assert 0 < len(found.examples) <= 5 and method.__name__ in found.docstring.partition("Example:")[2]

@@ -123,7 +123,7 @@ SHORT = {"terrain": ("--route.fixes", "41", "--n", "300"), "robot": ("--seconds"
          "aircraft": ("--duration", "600", "--plots.steps", "200", "--n", "40")}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", each(sorted(set(applications()) - {"terrain"}), {"robot"}))
+@pytest.mark.parametrize("name", each(sorted(set(applications()) - {"terrain"}), {"aircraft"}))
 def test_each_is_shown_without_data_and_runs_again_from_its_files(name, tmp_path, monkeypatch, capsys):
     """That of the terrain: tests/cli."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

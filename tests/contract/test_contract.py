@@ -6,7 +6,7 @@ from functools import lru_cache
 import jax
 import numpy as np
 import pytest
-from discovery import PARAMETERS, example, examples, filter_classes, first_of_kinds, smoother_classes
+from discovery import PARAMETERS, example, examples, filter_classes, first_of_kinds, shares_stages, smoother_classes
 
 import motes as mo
 from motes.core.record import values
@@ -23,7 +23,8 @@ KINDS = first_of_kinds(FILTERS)
 """One filter of each kind that the loop sees: of law, and whether it looks ahead."""
 FEW = first_of_kinds(FILTERS, lambda filter: filter.look_ahead)
 """One filter that looks ahead, and one that does not."""
-BY_DAY = {"form": set(FILTERS), "value": set(FILTERS), "likelihood": KINDS,
+OWN = {name for name in CLASSES if not shares_stages(name)}
+BY_DAY = {"answers": OWN, "form": set(FILTERS), "value": set(FILTERS), "likelihood": KINDS,
           **dict.fromkeys(("missing", "weights", "fewest"), KINDS),
           **dict.fromkeys(("stream", "checkpoint", "cut"), KINDS | {"ParticleFilter"}),
           **dict.fromkeys(("unmeasured", "vmapped", "inflation", "smallest", "eager", "derivative"), FEW)}  # fmt: skip
