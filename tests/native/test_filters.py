@@ -33,6 +33,7 @@ CROSSED = Q + 0.05 * np.eye(6, k=2) + 0.05 * np.eye(6, k=-2)
 INITIAL = mo.Gaussian([300.0, 300, 5, -5, 0, 0], np.diag([400.0, 400, 16, 16, 0.04, 0.04]))
 SENSOR = mo.AdditiveGaussian(bearing, np.array([[100, 0.01], [0.01, 1e-4]]), angles=(1,))
 RADAR = mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q), SENSOR, NAMES)
+KNOTS, BUMPS = jnp.linspace(0, 600, 61), jnp.asarray(np.random.default_rng(7).normal(size=61), jnp.float32)
 MODELS = {
     "linear dynamics": RADAR,
     "correlated noises": mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, CROSSED), SENSOR, NAMES),
@@ -42,6 +43,10 @@ MODELS = {
         mo.AdditiveGaussian(bearing, lambda x, u, t: jnp.diag(jnp.array([100.0, 1e-4]) * (1 + x[0] ** 2 / 1e6)), angles=(1,)), NAMES),
     "outliers": mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q),
                                    mo.AdditiveNoise(bearing, mo.StudentT(np.array([10.0, 0.01]), 4.0), angles=(1,)), NAMES),
+    "substeps": mo.StateSpaceModel(
+        INITIAL,
+        mo.AdditiveGaussian(lambda x, u, t: jax.lax.fori_loop(0, 5, lambda i, x: x + T / 5 * (jnp.eye(6, k=2) @ jnp.sin(x)), x), Q),
+        mo.AdditiveGaussian(lambda x, u, t: bearing(x, u, t) + jnp.array([10.0, 0]) * jnp.interp(x[0], KNOTS, BUMPS), SENSOR.Q), NAMES),
     "measured and hidden": mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q), mo.LinearGaussian(np.eye(2, 6) + np.eye(2, 6, k=2),
                                                                                                   np.diag([9.0, 4.0])), NAMES),
 }  # fmt: skip

@@ -154,6 +154,18 @@ def test_what_no_particle_enters_keeps_its_rule_for_many():
     assert set(asked) == {2} and np.allclose(ours, [X, 4 * X])
 
 
+@needs_compiler
+def test_tables_of_many_runs():
+    """Under vmap each run may have a table of its own."""
+    places = np.clip(np.abs(X * 9).astype(np.int32), 0, 18)
+    tables = jnp.stack([HEIGHTS[:, 0], 2 * HEIGHTS[:, 1]])
+
+    def looked_up(table):
+        return natively_traced(lambda X: [X + table[jnp.clip(jnp.abs(X * 9).astype(jnp.int32), 0, 18)]], X)
+
+    assert np.allclose(jax.jit(jax.vmap(looked_up))(tables), X + np.asarray(tables)[:, places], rtol=1e-6)
+
+
 ACROSS = {
     "mean over particles": lambda X: [X - X.mean(axis=1, keepdims=True)],
     "neighbors": lambda X: [jnp.roll(X, 1, axis=1)],
