@@ -85,6 +85,7 @@ def test_times_are_saved_and_go_on(tmp_path):
     (lambda: mo.times(STAMPS[:3], YS), "times ys: expected a row for each of 3 stamps, got 12"),
     (lambda: mo.times([0.0, np.nan, 2.0], YS[:3]), "times stamps: expected a time in every row, got none .*row 2"),
     (lambda: mo.times(STAMPS, YS, inputs={"w": [1.0, 2.0]}), "times inputs 'w': expected a row for each of 12 stamps, got 2"),
+    (lambda: mo.times([0.0, 2.0, 1.0, np.nan], YS[:4]), "times stamps: expected times that never decrease, got 1.0 after 2.0 in row 3"),
     (lambda: mo.times([0.0, 2.0, 1.0], YS[:3]), "times stamps: expected times that never decrease, got 1.0 after 2.0 in row 3"),
     (lambda: mo.times(), "times: expected stamps and measurements, or both for each sensor by name, got none"),
     (lambda: mo.times(STAMPS, YS, radar=(STAMPS, YS)), "times: expected stamps and measurements, .*, got both"),

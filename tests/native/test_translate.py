@@ -200,6 +200,8 @@ def test_programs_in_which_particles_meet_are_refused(name):
     over(lambda x: jnp.linalg.solve(jnp.eye(3) + jnp.outer(x, x), x)),
     over(lambda x: x + jax.pure_callback(lambda z: np.asarray(z), jax.ShapeDtypeStruct((3,), jnp.float32), x, vmap_method="expand_dims")),
     over(lambda x: x + x[jnp.int32(x[0])]),
+    over(lambda x: jax.lax.scan(lambda z, row: (z + 1, z), x, jnp.zeros((0, 3)))[0] + x),
+    over(lambda x: jax.lax.fori_loop(0, 1_000_000, lambda i, z: z[::-1], x)),
 ])  # fmt: skip
 def test_unknown_operations_are_refused(program):
     with pytest.raises(Untranslatable):

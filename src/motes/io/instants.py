@@ -40,10 +40,9 @@ def times(values: Any, *, repeats: bool = True, name: str = "times", rows: Seque
     order = "times that never decrease" if repeats else "times that increase"
     steps = np.diff(seconds)
     good = np.isfinite(seconds) & np.concatenate([[True], steps >= 0 if repeats else steps > 0])
-    if not np.isfinite(seconds).all():
-        order = "a time in every row"
     if not good.all():
         row = int(np.argmin(good))
+        order = order if np.isfinite(seconds[row]) else "a time in every row"
         given = f"{start + seconds[row]!s}" if np.isfinite(seconds[row]) else "none" if np.isnan(seconds[row]) else "an infinite one"
         before = f" after {start + seconds[row - 1]!s}" if row else ""
         refuse(name, order, f"{given}{before} in {rows[row] if len(rows) else f'row {row + 1} (line {row + 2} of a table with names)'}")

@@ -68,7 +68,7 @@ class Translator:
 
     def pointers(self) -> list[str]:
         """C++ that gives the tables their names and types."""
-        kinds = ["int32_t" if table.dtype == jnp.int32 else kind_of(table.dtype) for table in self.tables]
+        kinds = [kind_of(table.dtype) for table in self.tables]
         return [f"const {kind}* __restrict t{i} = (const {kind}*)rows.tables[{i}];" for i, kind in enumerate(kinds)]
 
     def words(self) -> jax.Array:
@@ -213,6 +213,8 @@ class Translator:
 
     def _unrolled(self, loop: Scan) -> list[Any]:
         """Write a loop out: its length is known."""
+        if not 0 < loop.length <= MOST_STATEMENTS:
+            raise Untranslatable(f"a loop of {loop.length} turns")
         carry, made = list(loop.carry), []
         order = range(loop.length)
         for k in reversed(order) if loop.reverse else order:

@@ -19,7 +19,7 @@ from motes.filters import keep
 from motes.filters.history import History
 from motes.filters.interacting_multiple_model import InteractingMultipleModel
 from motes.filters.jump_markov import JumpMarkovFilter
-from motes.io.archive import whole_file
+from motes.io.result_table import Table
 from motes.plotting.plot import plot
 
 FILE = "reports.csv"
@@ -94,7 +94,5 @@ class AircraftJob(Job):
         """Write the reports of a flight that was made up."""
         if self.reports is None:
             return settings
-        lines = [",".join(Reports._fields), *(",".join(repr(float(value)) for value in row) for row in zip(*self.reports, strict=True))]
-        with whole_file(folder / FILE) as file:
-            file.write(("\n".join(lines) + "\n").encode())
+        Table(Reports._fields, tuple(map(tuple, np.stack(self.reports, axis=1).tolist()))).save(folder / FILE)
         return replace(settings, data=str(folder / FILE))

@@ -1,7 +1,5 @@
 """Terrain-aided navigation as an application: `motes demo terrain`, and `motes run`, `motes plan` and `motes study` of its settings."""
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,10 +17,13 @@ from motes.filters.history import History
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.filters.particle import ParticleFilter
 from motes.io.archive import whole_file
+from motes.io.result_table import Table
 from motes.plotting.plot import plot
 
 PARTICLES = 15_000
 COLUMNS = ("time", "ins_north", "ins_east", "ins_altitude", "height", "true_north", "true_east")
+DIGITS = 3
+"""After the point, of what is written."""
 
 
 def load(settings: Settings, seed: int) -> "TerrainJob":
@@ -106,19 +107,14 @@ class TerrainJob(Job):
             files = (str(folder / source.name),)
             with whole_file(folder / source.name) as file:
                 file.write(source.read_bytes())
-        with whole_file(folder / "flight.csv") as file:
-            file.write(self._table().encode())
+        self._table().save(folder / "flight.csv")
         data = replace(settings.data, file=str(folder / "flight.csv"), truth=COLUMNS[-2:])
         return replace(settings, map=replace(settings.map, files=files), data=data)
 
-    def _table(self) -> str:
-        text = io.StringIO()
-        rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(COLUMNS)
+    def _table(self) -> Table:
         flight = self.flight
         assert flight.truth is not None
-        inertial = flight.inputs
-        columns = (inertial.north, inertial.east, inertial.altitude, flight.ys[:, 0], flight.truth[:, 0], flight.truth[:, 1])
-        for second, *values in zip(flight.seconds, *columns, strict=True):
-            rows.writerow([f"{second:.3f}", *(f"{float(value):.3f}" for value in values)])
-        return text.getvalue()
+        inertial, truth = flight.inputs, flight.truth
+        columns = (flight.seconds, inertial.north, inertial.east, inertial.altitude, flight.ys[:, 0], truth[:, 0], truth[:, 1])
+        rows = np.stack([np.asarray(column, np.float64) for column in columns], axis=1).round(DIGITS)
+        return Table(COLUMNS, tuple(map(tuple, rows.tolist())))
