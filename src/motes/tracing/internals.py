@@ -37,13 +37,26 @@ CALLS = {
 
 def called(equation: Any) -> Any:
     """Return the program that an equation calls, or None for other operations."""
+    if equation.primitive.name == HIGH:
+        return _expanded(equation)
     where = CALLS.get(equation.primitive.name)
     return None if where is None else equation.params[where]
 
 
+HIGH = "call_hi_primitive"
+"""Operations that JAX, from 0.12 on, keeps whole until it compiles (`searchsorted`, `einsum`); each says what it is in plain ones."""
+
+
+def _expanded(equation: Any) -> Any:
+    whole = equation.params["_prim"]
+    shapes = (jax.ShapeDtypeStruct(value.aval.shape, value.aval.dtype) for value in equation.invars)
+    return jax.make_jaxpr(lambda *args: whole.expand(*jax.tree.unflatten(whole.in_tree, args)))(*shapes)
+
+
 def has_own_derivative(equation: Any) -> bool:
-    """Tell whether the program that an equation calls comes with a rule for its derivative."""
-    return equation.primitive.name in ("custom_jvp_call", "custom_vjp_call")
+    """Tell whether the program that an equation calls comes with a rule of the user's for its derivative."""
+    name = equation.primitive.name
+    return name in ("custom_jvp_call", "custom_vjp_call") or (name == HIGH and type(equation.params["_prim"]).__name__.startswith("Custom"))
 
 
 def has_own_mapping(equation: Any) -> bool:
@@ -151,7 +164,7 @@ def parameters(equation: Any) -> dict[str, Any] | None:
     None where the user's functions cannot be had so: rules of derivatives in reverse, calls back into Python.
     """
     name, params = equation.primitive.name, dict(equation.params)
-    if name == "custom_vjp_call" or name.endswith("callback"):
+    if name == "custom_vjp_call" or name.endswith("callback") or (name == HIGH and has_own_derivative(equation)):
         return None
     if name == "custom_jvp_call":
         params["jvp_jaxpr_fun"] = _innermost(params["jvp_jaxpr_fun"])
