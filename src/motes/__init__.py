@@ -2,4 +2,7 @@
 
 import lazy_loader
 
+from motes.core.kept import keep_programs
+
+keep_programs()
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

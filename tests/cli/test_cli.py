@@ -244,7 +244,7 @@ def test_machines_that_cannot_are_told_in_one_line(monkeypatch, capsys, error, w
 
 
 def test_cache_that_others_can_use_is_made_private(tmp_path, monkeypatch):
-    from motes.io.private import private_folder
+    from motes.core.kept import private_folder
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     place = tmp_path / "motes" / "compiled"
@@ -259,10 +259,18 @@ def test_cache_that_others_can_use_is_made_private(tmp_path, monkeypatch):
 
 
 def test_compiled_programs_are_kept_for_the_next_call(tmp_path):
-    code = "from motes.cli.compiled import keep_programs; keep_programs(); import jax; print(jax.config.jax_compilation_cache_dir)"
-    kept = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True,
-                          env=os.environ | {"XDG_CACHE_HOME": str(tmp_path), "JAX_COMPILATION_CACHE_DIR": ""}).stdout.strip()
-    assert kept == str(tmp_path / "motes" / "compiled") and Path(kept).stat().st_mode & 0o777 == 0o700
+    def kept(imports, **environment):
+        clean = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+        code = f"import {imports}, jax; print(jax.config.jax_compilation_cache_dir, jax.config.jax_persistent_cache_min_compile_time_secs)"
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True,
+                               env=clean | {"XDG_CACHE_HOME": str(tmp_path)} | environment).stdout
+        return found.split()
+
+    folder = str(tmp_path / "motes" / programs())
+    assert kept("motes, jax") == kept("jax, motes") == [folder, "0.2"] and Path(folder).stat().st_mode & 0o777 == 0o700
+    assert kept("motes", MOTES_CACHE="off")[0] == "None"
+    assert kept("motes", JAX_COMPILATION_CACHE_DIR="/mine") == ["/mine", "1.0"]
+    assert kept("motes", JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="3") == [folder, "3.0"]
 
 
 def shell(*arguments, **environment):

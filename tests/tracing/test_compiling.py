@@ -56,9 +56,9 @@ def test_within_other_programs():
 @pytest.mark.skipif(jax.__version_info__ >= MENDED, reason="from JAX 0.12 on nothing stops, and programs are compiled without options")
 def test_a_compiler_without_the_options_does_without(monkeypatch):
     monkeypatch.setattr(compiling, "OPTIONS", {"xla_cpu_no_such_option": False})
-    compiling._are_known.cache_clear()
+    compiling._are_needed.cache_clear()
     try:
         assert jitted(lambda x: x + 1)(1) == 2
-        assert not compiling._are_known()
+        assert not compiling._are_needed()
     finally:
-        compiling._are_known.cache_clear()
+        compiling._are_needed.cache_clear()

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from motes.cli.compiled import keep_programs
 from motes.cli.options import from_flags
 
 MEANINGS = {"c1": "a likelihood", "c2": "a resampling", "c3": "a normal number"}
@@ -27,7 +26,6 @@ def main(words: Sequence[str]) -> None:
         MotesError: an option cannot be used, or the machine was too busy.
     """
     settings = from_flags(Calibrate(), words, "motes calibrate")
-    keep_programs()
     from motes.cli.running import show
     from motes.costs.calibration import calibrate
     from motes.costs.flops import Costs

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib import metadata
 
 from motes.cli.options import from_flags
-from motes.io import private
+from motes.core import kept
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ def report() -> Iterator[tuple[str, str]]:
     yield "processors", str(processors())
     yield "devices", _devices()
     yield "precision", {"float64": "float64"}.get(str(jax.numpy.result_type(float)), "float32 (set JAX_ENABLE_X64=1 for float64)")
-    for kind in ("compiled", "native"):
-        found = private.private_folder(kind)
-        yield f"{kind} code", str(found) if found else f"not kept: {private.place(kind)} cannot be used"
+    for kind, name in (("compiled", kept.programs()), ("native", "native")):
+        found = kept.private_folder(name)
+        yield f"{kind} code", str(found) if found else f"not kept: {kept.why_not(name)}"
     yield "engine", chosen()
-    yield "native engine", blocks.standing() or f"ready, compiled by {' '.join(compile.compiler())}"
+    yield "native engine", blocks.tried() or f"ready, compiled by {' '.join(compile.compiler())}"
     for package, extra in sorted(packages().items()):
         yield package, _version(package) or f"not installed (pip install 'motes[{extra}]')"
 

@@ -6,7 +6,6 @@ Of the measurements nothing is used but the inputs, along which pilot runs are d
 from collections.abc import Sequence
 
 from motes.cli.asked import Plan, asked
-from motes.cli.compiled import keep_programs
 from motes.cli.options import check_seed, seconds
 
 USAGE = "motes plan APPLICATION"
@@ -22,7 +21,6 @@ def main(words: Sequence[str]) -> None:
     settings = wish.settings
     budget = seconds(settings.budget)
     check_seed(settings.seed)
-    keep_programs()
     import jax
 
     from motes.planning.plan import Pilot, plan

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from motes.cli.asked import Asked, Run, asked
-from motes.cli.compiled import keep_programs
 from motes.cli.options import check_seed, refuse
 from motes.cli.records import build
 
@@ -45,7 +44,6 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
     """
     settings = wish.settings
     check_seed(settings.seed)
-    keep_programs()
     from motes.cli import running
     from motes.filters import keep
     from motes.smoothers.interface import Smoother

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 from motes.cli import interruption
 from motes.cli.asked import Study, asked
-from motes.cli.compiled import keep_programs
 from motes.cli.options import check_seed, refuse
 
 USAGE = "motes study APPLICATION"
@@ -24,7 +23,6 @@ def main(words: Sequence[str]) -> None:
     wish = asked(Study, words, USAGE)
     settings = wish.settings
     check_seed(settings.seed)
-    keep_programs()
     import jax
 
     from motes.cli import running

@@ -1,7 +1,7 @@
-"""Which engine works the numbers out: XLA alone, or native kernels where they can.
+"""Which engine works the numbers out: XLA alone, or native kernels where they can, or where they can and it pays.
 
 An operation is defined where it belongs, in JAX, and marked `replaceable`. The native room, higher up, offers faster implementations of
-the marked operations; they are used while the native engine is chosen and return None for what they cannot do.
+the marked operations; they are used unless JAX is chosen, and return None for what they cannot do, or where it does not pay.
 """
 
 import os
@@ -14,7 +14,7 @@ import jax
 
 from motes.core import checks
 
-ENGINES = ("jax", "native")
+ENGINES = ("auto", "jax", "native")
 VARIABLE = "MOTES_ENGINE"
 
 # part of the key of everything that JAX compiles: functions that a user jitted are traced anew under another engine
@@ -24,15 +24,19 @@ _faster: dict[str, Callable[..., Any]] = {}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+class CompileError(checks.MotesError):
+    """The compiler of native kernels is missing, or it failed; the text says which."""
+
+
 def chosen() -> str:
-    """Return the engine in force: that of the nearest `using`, else of the environment variable MOTES_ENGINE, else "jax".
+    """Return the engine in force: that of the nearest `using`, else of the environment variable MOTES_ENGINE, else "auto".
 
     Raises:
         MotesError: the variable names no engine.
     """
     if _context.value is not None:
         return _context.value
-    name = os.environ.get(VARIABLE) or "jax"
+    name = os.environ.get(VARIABLE) or "auto"
     checks.option(VARIABLE, name, ENGINES)
     return name
 
@@ -57,7 +61,7 @@ def replaceable(operation: F) -> F:
 
     @wraps(operation)
     def call(*args: Any) -> Any:
-        faster = _faster.get(operation.__name__) if chosen() == "native" else None
+        faster = _faster.get(operation.__name__) if chosen() != "jax" else None
         result = None if faster is None else faster(*args)
         return operation(*args) if result is None else result
 

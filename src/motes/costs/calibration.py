@@ -28,7 +28,7 @@ from motes.costs.flops import Costs
 from motes.costs.measure import least_seconds
 from motes.filters.particle import ParticleFilter
 from motes.io import archive
-from motes.io.private import private_folder
+from motes.core.kept import private_folder
 from motes.laws.cloud import Cloud
 from motes.models.simulate import simulate
 from motes.models.state_space import StateSpaceModel, as_state_space

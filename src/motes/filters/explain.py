@@ -20,8 +20,8 @@ class Explanation:
     """How a filter runs.
 
     Attributes:
-        engine: the engine in force, "jax" or "native".
-        stages: for each stage of the filter that has native kernels, how the native engine runs it and why.
+        engine: the engine in force, "auto", "jax" or "native".
+        stages: for each stage of the filter that has native kernels, how it runs and why; where JAX was chosen, how it would by default.
     """
 
     engine: str = static()
@@ -29,8 +29,7 @@ class Explanation:
 
     def __str__(self) -> str:
         """Print as a table."""
-        hint = "" if self.engine == "native" else '   (choose with `with mo.engine("native"):` or MOTES_ENGINE=native)'
-        lines = [f"engine in force   {self.engine}{hint}", "on the native engine:"]
+        lines = [f"engine in force   {self.engine}", *(["by default:"] if self.engine == "jax" else [])]
         return "\n".join([*lines, *(f"  {name:<16}{text}" for name, text in self.stages)])
 
 
@@ -53,7 +52,8 @@ def explain(filter: Filter, model: Any, inputs: Inputs = None, y: Any = None) ->
         ready = setup(key, filter, model, u, y)
         return ready.step(ready.begin(y, u)[0], y, u)
 
-    with engines.using("native"), report.collected(quiet=True) as notes:
+    chosen = engines.chosen()
+    with engines.using("auto" if chosen == "jax" else chosen), report.collected(quiet=True) as notes:
         jax.eval_shape(once, jax.random.key(0), filter, model, given, inputs)
         report.complete(notes, type(filter).__name__)
-    return Explanation(engines.chosen(), tuple(sorted(notes.items())))
+    return Explanation(chosen, tuple(sorted(notes.items())))

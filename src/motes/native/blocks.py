@@ -8,48 +8,69 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import engine, logspace, random
+from motes.core.engine import CompileError
 from motes.core.record import replace
 from motes.laws import cloud
 from motes.native import report
-from motes.native.compile import HEADERS, CompileError, kernel
+from motes.native.compile import HEADERS, begun, called, finished
 from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
 from motes.resampling.schemes import Scheme, Systematic
 
 FEWEST = 256
 """With fewer particles JAX is as fast."""
 
+ENOUGH = 1_000
+"""From so many particles on kernels are used without being asked for: with fewer, what is gained does not make up for compiling them."""
+
 MOST_ROWS = 32
 """States that the kernel of moments has room for."""
 
 
-@cache
 def standing() -> str:
-    """Why native kernels cannot be used here; empty when they can."""
+    """Why native kernels cannot be used here; empty when nothing speaks against them so far: the compiler may still be at work."""
     if jax.default_backend() != "cpu":
         return f"the device is a {jax.default_backend()}"
     try:
-        _name("normal_block")
+        begun(_source())
     except CompileError as reason:
         return str(reason)
     return ""
 
 
+def tried() -> str:
+    """Why native kernels cannot be used here; empty when they can: they have been compiled."""
+    found = standing()
+    if not found:
+        try:
+            finished(begun(_source()))
+        except CompileError as reason:
+            return str(reason)
+    return found
+
+
 @cache
-def _name(symbol: str) -> str:
-    return kernel((HEADERS / "blocks.cpp").read_text(), f"motes_{symbol}")
+def _source() -> str:
+    return (HEADERS / "blocks.cpp").read_text()
 
 
-def usable(*arrays: jax.Array) -> bool:
-    """Tell whether the native engine is chosen, stands, and takes such arrays."""
-    if engine.chosen() != "native" or any(array.dtype != jnp.float32 for array in arrays):
+def fewest() -> int:
+    """Return the number of particles from which on kernels are used, for the engine that is chosen."""
+    return FEWEST if engine.chosen() == "native" else ENOUGH
+
+
+def usable(n: int, *arrays: jax.Array) -> bool:
+    """Tell whether the engine that is chosen has native kernels work on arrays of n particles such as these, and says so."""
+    if engine.chosen() == "jax" or n < fewest() or any(array.dtype != jnp.float32 for array in arrays):
         return False
     if standing():
         report.note_absence(standing())
+    else:
+        report.note_kernel()
     return not standing()
 
 
 def _call(symbol: str, results: Any, *operands: jax.Array) -> Any:
-    return jax.ffi.ffi_call(_name(symbol), results, vmap_method="expand_dims")(*operands)
+    return called(_source(), f"motes_{symbol}", results, *operands)
 
 
 def differentiable(native: Callable[..., Any], pure: Callable[..., Any]) -> Callable[..., Any]:
@@ -61,7 +82,7 @@ def differentiable(native: Callable[..., Any], pure: Callable[..., Any]) -> Call
 
 def normal_block(key: jax.Array, rows: int, n: int) -> jax.Array | None:
     """See `random.normal_block`."""
-    if not rows or n < FEWEST or not usable():
+    if not rows or not usable(n):
         return None
     return _call("normal_block", jax.ShapeDtypeStruct((rows, n), jnp.float32), key)
 
@@ -69,7 +90,7 @@ def normal_block(key: jax.Array, rows: int, n: int) -> jax.Array | None:
 def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """See `cloud.weighted_moments`."""
     size = sum(part.shape[0] for part in parts)
-    if not 0 < size <= MOST_ROWS or log_weights.shape[0] < FEWEST or not usable(log_weights, *parts):
+    if not 0 < size <= MOST_ROWS or not usable(log_weights.shape[0], log_weights, *parts):
         return None
     full = [part for part in parts if part.shape[0]]
     shapes = (jax.ShapeDtypeStruct((size,), jnp.float32), jax.ShapeDtypeStruct((size, size), jnp.float32))
@@ -80,12 +101,12 @@ def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Arr
 def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """Return ancestors `(n,)` and log weights `(n,)`, resampled where the policy asks for it; None for schemes and policies not known."""
     codes = {Always: 0, Never: 1, ESS: 2, Entropy: 3}
-    if type(scheme) is not Systematic or type(policy) not in codes or not usable(log_weights):
+    n = log_weights.shape[0]
+    if type(scheme) is not Systematic or type(policy) not in codes or not usable(n, log_weights):
         return None
     threshold = getattr(policy, "share", getattr(policy, "threshold", 0.0))
     uniform = random.uniform(key, (), jnp.float32)
     parameters = jnp.stack([uniform, jnp.asarray(threshold, jnp.float32), jnp.full((), codes[type(policy)], jnp.float32)])
-    n = log_weights.shape[0]
     shapes = (jax.ShapeDtypeStruct((n,), jnp.int32), jax.ShapeDtypeStruct((n,), jnp.float32))
 
     def native(log_weights: jax.Array, parameters: jax.Array, policy: Policy) -> tuple[jax.Array, jax.Array]:
@@ -108,7 +129,7 @@ def resampled(key: jax.Array, scheme: Scheme, policy: Policy, law: Any, log_scor
 
 def joint_weights(log_weights: jax.Array, log_likelihood: jax.Array, max_log_likelihood: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """See `logspace.joint_weights`."""
-    if log_weights.shape[0] < FEWEST or not usable(log_weights, log_likelihood):
+    if not usable(log_weights.shape[0], log_weights, log_likelihood):
         return None
     shapes = (jax.ShapeDtypeStruct(log_weights.shape, jnp.float32), jax.ShapeDtypeStruct((6,), jnp.float32))
     max_log_likelihood = jnp.broadcast_to(max_log_likelihood, log_likelihood.shape).astype(jnp.float32)

@@ -8,10 +8,9 @@ import jax.numpy as jnp
 from jax.core import eval_jaxpr
 
 from motes.core import engine, logspace
+from motes.core.engine import CompileError
 from motes.core.record import replace
 from motes.native import blocks, report
-from motes.native.blocks import FEWEST
-from motes.native.compile import CompileError
 from motes.native.rules import Untranslatable
 from motes.native.stage import Stage, call_move, call_weigh, judgement, movement
 from motes.native.translate import traced
@@ -122,14 +121,14 @@ def left_to_jax(stage: str, cloud: Any, why: str) -> None:
 
 def _parts(stage: str, cloud: Any) -> Parts | None:
     """Take a cloud apart, where the native engine is to be used on it."""
-    if engine.chosen() != "native":
+    if engine.chosen() == "jax":
         return None
-    if blocks.standing():
-        return report.note(stage, report.JAX, blocks.standing())
     if cloud.log_weights.dtype != jnp.float32:
         return report.note(stage, report.JAX, f"particles of type {cloud.log_weights.dtype}")
-    if cloud.log_weights.shape[0] < FEWEST:
-        return report.note(stage, report.JAX, f"fewer than {FEWEST} particles")
+    if cloud.log_weights.shape[0] < blocks.fewest():
+        return report.note(stage, report.JAX, f"fewer than {blocks.fewest()} particles")
+    if blocks.standing():
+        return report.note(stage, report.JAX, blocks.standing())
     parts = Parts(cloud)
     return parts if parts.lanes else report.note(stage, report.JAX, "no particles")
 

@@ -9,14 +9,17 @@ import shlex
 import shutil
 import subprocess
 import tempfile
-from contextlib import suppress
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import jax
 from jaxlib import version
 
-from motes.io.private import private_folder
+from motes.core.engine import CompileError
+from motes.core.kept import private_folder, processor, prune
 from motes.io.unfinished import unfinished
+from motes.tracing.internals import before_compiling
 
 HEADERS = Path(__file__).parent / "cpp"
 FLAGS = (
@@ -26,12 +29,6 @@ FLAGS = (
 """No flag lets the compiler take NaN for impossible or reorder a sum that is not marked. Hidden names keep the kernels of different models,
 which have the same names inside, apart."""
 SECONDS = 300
-MOST_KEPT = 500_000_000
-"""Bytes of compiled kernels that are kept on disk."""
-
-
-class CompileError(Exception):
-    """The compiler is missing, or it refused the source; the text says which."""
 
 
 @functools.cache
@@ -53,15 +50,6 @@ def _surroundings() -> bytes:
     return b"\0".join([maker, processor(), *map(str.encode, texts), *(path.read_bytes() for path in sorted(HEADERS.glob("*.hpp")))])
 
 
-def processor() -> bytes:
-    """Return what tells this kind of processor from others."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor().encode()
-    return "\n".join(sorted({line for line in lines if line.startswith(("flags", "Features", "model name"))})).encode()
-
-
 def _wide() -> tuple[str, ...]:
     """Compilers use half of the widest registers unless told otherwise."""
     return ("-mprefer-vector-width=512",) if b"avx512f" in processor() else ()
@@ -75,20 +63,42 @@ def _required() -> tuple[str, ...]:
 
 
 _loaded: dict[str, ctypes.CDLL] = {}
+_begun: dict[str, Future[ctypes.CDLL]] = {}
+_failed: dict[str, str] = {}
+_compilers = ThreadPoolExecutor(max(os.cpu_count() or 1, 1), "compiler")
 
 
-def shared_object(source: str) -> tuple[str, ctypes.CDLL]:
-    """Compile (or find) a library and load it; return its hash too.
+def begun(source: str) -> str:
+    """Begin to compile (or find) a library, beside whatever goes on; return its hash.
 
     Raises:
-        CompileError: there is no compiler, or it failed.
+        CompileError: there is no compiler, or it has failed on this source before.
     """
     mark = hashlib.sha256(_surroundings() + b"\0" + source.encode()).hexdigest()[:20]
-    if mark not in _loaded:
+    if mark in _failed:
+        raise CompileError(_failed[mark])
+    if mark not in _loaded and mark not in _begun:
         folder = private_folder("native")
         kept = folder / f"{mark}.so" if folder else None
-        _loaded[mark] = _found(kept) or _built(source, kept)
-    return mark, _loaded[mark]
+        _begun[mark] = _compilers.submit(lambda: _found(kept) or _built(source, kept))
+    return mark
+
+
+def finished(mark: str) -> ctypes.CDLL:
+    """Wait for a library that was begun, and return it.
+
+    Raises:
+        CompileError: the compiler failed.
+    """
+    if mark not in _loaded:
+        try:
+            _loaded[mark] = _begun[mark].result()
+        except CompileError as reason:
+            _failed[mark] = str(reason)
+            raise
+        finally:
+            _begun.pop(mark, None)
+    return _loaded[mark]
 
 
 def _found(kept: Path | None) -> ctypes.CDLL | None:
@@ -100,20 +110,6 @@ def _found(kept: Path | None) -> ctypes.CDLL | None:
         return ctypes.CDLL(str(kept))
     except OSError:  # another process has just removed it, or the disk has lost a part of it
         return None
-
-
-def _prune(folder: Path, spared: Path) -> None:
-    """Remove the libraries that were used least recently, beyond what is kept; those in use by other processes stay in their memory."""
-    found = []
-    for path in folder.glob("*.so"):
-        with suppress(OSError):
-            status = path.stat()
-            found.append((status.st_mtime, status.st_size, path))
-    total = sum(size for _, size, _ in found)
-    for _, size, path in sorted(found):
-        if total > MOST_KEPT and path != spared:
-            path.unlink(missing_ok=True)
-            total -= size
 
 
 def _built(source: str, kept: Path | None) -> ctypes.CDLL:
@@ -132,22 +128,37 @@ def _built(source: str, kept: Path | None) -> ctypes.CDLL:
             return ctypes.CDLL(str(made))
         # whole or not at all: another process may be looking for the same file
         os.replace(made, kept)
-    _prune(kept.parent, kept)
+    prune(kept.parent, kept)
     return ctypes.CDLL(str(kept))
 
 
 _registered: set[str] = set()
 
 
-def kernel(source: str, symbol: str) -> str:
-    """Compile a source, register one of its kernels with XLA and return the name to call it by.
+def called(source: str, symbol: str, results: Any, *operands: jax.Array) -> Any:
+    """Call a kernel of a source as part of a program; what is compiled from the source is waited for when the program itself is compiled.
+
+    Args:
+        source: C++.
+        symbol: name of the kernel in it.
+        results: shapes and types of what it gives, one or several.
+        operands: arrays, at least one.
 
     Raises:
-        CompileError: there is no compiler, or it failed.
+        CompileError: there is no compiler, or it has failed on this source before.
     """
-    mark, loaded = shared_object(source)
-    name = f"motes_{symbol}_{mark}"
+    mark = begun(source)
+    first = before_compiling(operands[0], _register, mark, symbol)
+    return jax.ffi.ffi_call(_name(mark, symbol), results, vmap_method="expand_dims")(first, *operands[1:])
+
+
+def _name(mark: str, symbol: str) -> str:
+    return f"motes_{symbol}_{mark}"
+
+
+def _register(mark: str, symbol: str) -> None:
+    """Make a kernel known to XLA."""
+    name = _name(mark, symbol)
     if name not in _registered:
-        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(loaded, symbol)), platform="cpu")
+        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(finished(mark), symbol)), platform="cpu")
         _registered.add(name)
-    return name

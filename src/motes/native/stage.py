@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.native import lanes
-from motes.native.compile import kernel
+from motes.native.compile import begun, called
 from motes.native.translate import Translator, Untranslatable, is_lane, traced
 from motes.tracing.program import walk
 
@@ -22,7 +22,8 @@ class Stage(NamedTuple):
     """A translated stage, ready to be called on the arrays of a cloud.
 
     Attributes:
-        kernel: name by which XLA calls it.
+        kind: "move" or "weigh", the name of its kernel.
+        source: C++.
         words: numbers that all particles share, `(p,)`, as 32-bit words.
         tables: arrays that all particles share, and each reads at places of its own.
         changed: for each array with the particle axis, whether the kernel works it out; it is left as it was otherwise.
@@ -30,7 +31,8 @@ class Stage(NamedTuple):
         size: number of scalar operations.
     """
 
-    kernel: str
+    kind: str
+    source: str
     words: jax.Array
     tables: list[jax.Array]
     changed: list[bool]
@@ -104,7 +106,8 @@ def _compiled(kind: str, translator: Translator, leaves: Sequence[jax.Array], ou
     elif not shapes:
         raise Untranslatable("dynamics that move nothing")
     source = _source(kind, translator, [(_rows(leaf), leaf.ndim) for leaf in leaves], shapes, assignments)
-    return Stage(kernel(source, kind), translator.words(), translator.tables, changed, rest, len(translator.statements))
+    begun(source)
+    return Stage(kind, source, translator.words(), translator.tables, changed, rest, len(translator.statements))
 
 
 def _rows(leaf: Any) -> int:
@@ -157,7 +160,7 @@ def call_move(stage: Stage, shared: Shared, ancestors: jax.Array, leaves: Sequen
     """Return the arrays of the chosen ancestors, moved."""
     made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
     words, tables = shared
-    results = list(_call(stage.kernel, made, words, ancestors, *leaves, *tables))
+    results = list(_call(stage, made, words, ancestors, *leaves, *tables))
     return [results.pop(0) if changed else leaf[..., ancestors] for leaf, changed in zip(leaves, stage.changed, strict=True)]
 
 
@@ -168,10 +171,10 @@ def call_weigh(
     made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
     six = jax.ShapeDtypeStruct((6,), jnp.float32)
     words, tables = shared
-    weights, found, *results = _call(stage.kernel, [log_weights, six, *made], words, log_weights, *leaves, *tables)
+    weights, found, *results = _call(stage, [log_weights, six, *made], words, log_weights, *leaves, *tables)
     return weights, found, [results.pop(0) if changed else leaf for leaf, changed in zip(leaves, stage.changed, strict=True)]
 
 
-def _call(name: str, results: Sequence[Any], *operands: jax.Array) -> Sequence[jax.Array]:
+def _call(stage: Stage, results: Sequence[Any], *operands: jax.Array) -> Sequence[jax.Array]:
     shapes = [jax.ShapeDtypeStruct(result.shape, result.dtype) for result in results]
-    return jax.ffi.ffi_call(name, shapes, vmap_method="expand_dims")(*operands)
+    return called(stage.source, stage.kind, shapes, *operands)

@@ -1,4 +1,6 @@
-"""How what is jitted here is compiled: with options that make it rare that decompositions in a user's functions stop XLA for good.
+"""How what is jitted here is compiled: by JAX alone where a native kernel could not be, and so that XLA does not stop for good.
+
+Options make it rare that decompositions in a user's functions stop it.
 
 Why they can is told in `lapack.py`, through which ours go. Operations are run at the same time where many of a loop's body are ready at
 once, which the scheduler that orders them for concurrency sees to; the other one, which orders them for little memory, leaves few.
@@ -10,6 +12,7 @@ from typing import Any
 
 import jax
 
+from motes.core import checks, engine
 from motes.core.lapack import MENDED
 from motes.tracing.internals import at_top
 
@@ -25,7 +28,7 @@ def jitted(function: Callable[..., Any], **static: Any) -> Any:
         function: what to jit.
         static: static arguments, as `jax.jit` takes them.
     """
-    return _Jitted(function, static) if jax.__version_info__ < MENDED else jax.jit(function, **static)
+    return _Jitted(function, static)
 
 
 class _Jitted:
@@ -34,16 +37,24 @@ class _Jitted:
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
-        return (self._alone if at_top() and _are_known() else self._within)(*arguments, **named)
+        if not at_top():
+            return self._within(*arguments, **named)
+        jitted = self._alone if _are_needed() else self._within
+        try:
+            return jitted(*arguments, **named)
+        except engine.CompileError as reason:
+            checks.warn(f"a native kernel could not be compiled, and JAX does the work: {reason}.")
+            with engine.using("jax"):
+                return jitted(*arguments, **named)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._alone if _are_known() else self._within, name)
+        return getattr(self._alone if _are_needed() else self._within, name)
 
 
 @functools.cache
-def _are_known() -> bool:
-    """Tell whether it is XLA for CPUs that compiles, and one that knows the options."""
-    if jax.default_backend() != "cpu":
+def _are_needed() -> bool:
+    """Tell whether it is XLA for CPUs that compiles, one that stops and knows the options."""
+    if jax.default_backend() != "cpu" or jax.__version_info__ >= MENDED:
         return False
     try:
         jax.jit(lambda: 0, compiler_options=OPTIONS)()

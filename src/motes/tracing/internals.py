@@ -5,12 +5,13 @@ functions of the user's, and whether something is being traced. Nothing else in 
 operations are called (`sin`, `dot_general`) is the vocabulary of traced programs, and stands in the rule sets that are about them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import FunctionType
 from typing import Any, NamedTuple
 
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
+from jax.interpreters import batching, mlir
 
 __all__ = ["Literal", "Primitive"]
 
@@ -185,6 +186,34 @@ def _innermost(wrapped: Any) -> Any:
         functions += [value for value in held if isinstance(value, FunctionType) and value not in functions]
         found += [value for value in held if isinstance(value, type(wrapped))]
     return found[0].f if len(found) == 1 and len(found[0].transforms) == 1 else None
+
+
+def before_compiling(value: Any, action: Callable[..., None], *arguments: Any) -> Any:
+    """Return a value of a program, and have something done whenever the program is about to be compiled.
+
+    Args:
+        value: array.
+        action: what to do; once is enough, and it may raise.
+        arguments: what it is called with.
+    """
+    return _BEFORE.bind(value, action=action, arguments=arguments)
+
+
+def _lowered(_: Any, value: Any, *, action: Callable[..., None], arguments: Any) -> list[Any]:
+    action(*arguments)
+    return [value]
+
+
+def _at_once(value: Any, *, action: Callable[..., None], arguments: Any) -> Any:
+    action(*arguments)
+    return value
+
+
+_BEFORE = Primitive("before_compiling")
+_BEFORE.def_impl(_at_once)
+_BEFORE.def_abstract_eval(lambda value, **_: value)
+mlir.register_lowering(_BEFORE, _lowered)
+batching.primitive_batchers[_BEFORE] = lambda values, axes, **params: (_BEFORE.bind(*values, **params), *axes)
 
 
 def at_top() -> bool:
