@@ -11,6 +11,7 @@ import pytest
 
 from data import recorded
 from motes.cli.main import main
+from motes.core.kept import programs
 
 MARGINALIZED = 'kind = "MarginalizedParticleFilter"\nn = 150'
 COMMAND = "import sys; from motes.cli.main import main; sys.exit(main())"

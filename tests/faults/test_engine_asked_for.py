@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import motes as mo
-from motes.native import blocks, report
+from motes.core.engine import CompileError
+from motes.native import blocks, compile, report
 from tiers import each
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
@@ -39,6 +40,12 @@ def traced(filter, model, ys=YS):
     return history.engine, [str(one.message) for one in caught if issubclass(one.category, mo.MotesWarning)]
 
 
+def stages(filter, model):
+    """What is explained of the native engine."""
+    with mo.engine("native"):
+        return mo.explain(filter, model).stages
+
+
 def told_as_it_is(engine, texts, notes):
     """Whether what did not run natively was told, and nothing else: for each stage one line with its name and the reason."""
     missing = {stage: text for stage, text in notes if not text.startswith(report.FUSED)}
@@ -53,7 +60,7 @@ def told_as_it_is(engine, texts, notes):
 @pytest.mark.parametrize("filter", each(FILTERS, is_variant))
 def test_every_filter_tells_what_jax_does_for_it(filter, untold):
     model = linear()
-    notes = mo.explain(filter, model).stages
+    notes = stages(filter, model)
     engine, texts = traced(filter, model)
     told_as_it_is(engine, texts, notes)
     # once for each: another run of the same says nothing more
@@ -67,7 +74,7 @@ def test_silence_is_noticed(untold, monkeypatch):
     filter = mo.ParticleFilter(n=100)
     engine, texts = traced(filter, linear())
     with pytest.raises(AssertionError):
-        told_as_it_is(engine, texts, mo.explain(filter, linear()).stages)
+        told_as_it_is(engine, texts, stages(filter, linear()))
 
 
 WALK = mo.Custom(sample=lambda key, x, u, t: x + jax.random.normal(key, (2,)))
@@ -111,13 +118,14 @@ def test_streams_tell_too(filter, lines, untold):
     assert len([one for one in caught if issubclass(one.category, mo.MotesWarning)]) == lines
 
 
-def test_jax_is_not_warned_of(untold):
-    """Nobody asked for another engine; nor does one who only wants to know."""
-    with warnings.catch_warnings():
+@pytest.mark.parametrize("engine", ["auto", "jax"])
+def test_jax_is_not_warned_of(engine, untold):
+    """Nobody asked for native kernels; nor does one who only wants to know."""
+    with warnings.catch_warnings(), mo.engine(engine):
         warnings.simplefilter("error")
-        mo.explain(mo.ParticleFilter(n=100), linear())
-        with mo.engine("jax"):
-            jax.eval_shape(lambda key: mo.run(key, mo.ParticleFilter(n=100), linear(), YS, keep=lambda state: {}), jax.random.key(0))
+        for filter in (mo.ParticleFilter(n=100), CASES["no stages"][0], mo.ParticleFilter(n=2000, scheme=mo.resampling.Stratified())):
+            mo.explain(filter, linear())
+            jax.eval_shape(lambda key, filter=filter: mo.run(key, filter, linear(), YS, keep=lambda state: {}), jax.random.key(0))
 
 
 WITHOUT = """
@@ -138,3 +146,40 @@ def test_without_a_compiler(tmp_path):
     assert all("no C++ compiler" in line for line in lines)
     told = [line.partition("but ")[2].partition(" runs on JAX")[0] for line in lines]
     assert sorted(told) == ["everything", "stage 'move'", "stage 'weigh'"]
+
+
+@needs_compiler
+def test_a_kernel_that_cannot_be_compiled_is_left_to_jax(untold, monkeypatch, tmp_path):
+    """The compiler fails when all is traced: JAX does everything, and says so; the next time it knows. So in a stream."""
+    whole = compile._built
+
+    def failing(source, kept):
+        if "stage.hpp" in source:
+            raise CompileError("the disk is full")
+        return whole(source, kept)
+
+    monkeypatch.setattr(compile, "_built", failing)
+    monkeypatch.setattr(compile, "_failed", {})
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    filter, line = mo.ParticleFilter(n=1301), linear()
+    # a program that no other test compiles
+    model = mo.StateSpaceModel(line.initial, line.dynamics, mo.AdditiveGaussian(lambda x, u, t: 1.0301 * x[:2], np.eye(2)))
+    with mo.engine("jax"):
+        wanted = mo.run(0, filter, linear(), YS)
+    with pytest.warns(mo.MotesWarning, match="a native kernel could not be compiled, and JAX does the work: the disk is full"):
+        found = mo.run(0, filter, linear(), YS)
+    assert found.engine == "jax" and np.array_equal(found.mean, wanted.mean)
+    jax.clear_caches()
+    again = mo.run(0, filter, linear(), YS)
+    assert again.engine == "native in part" and np.allclose(again.mean, wanted.mean, atol=1e-3)
+    compile._failed.clear()
+    jax.clear_caches()
+    with pytest.warns(mo.MotesWarning, match="could not be compiled"):
+        stream = mo.stream(0, filter, model)
+        for y in YS:
+            stream.update(y)
+            stream.predict()
+    compile._failed.clear()
+    jax.clear_caches()
+    with pytest.raises(mo.MotesError, match="the disk is full"):
+        jax.jit(lambda key: mo.run(key, filter, linear(), YS).mean)(jax.random.key(0))

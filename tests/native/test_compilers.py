@@ -56,7 +56,7 @@ def test_kernels_of_models(chosen):
 
 @each_compiler
 def test_kernels_without_a_model(chosen):
-    mark, loaded = compile.shared_object((compile.HEADERS / "blocks.cpp").read_text())
+    loaded = compile.finished(compile.begun((compile.HEADERS / "blocks.cpp").read_text()))
     assert all(hasattr(loaded, f"motes_{name}") for name in ("normal_block", "ancestors", "weigh", "moments"))
 
 
@@ -69,9 +69,9 @@ float of_a_model(float x) {{ return {}exp(x); }}
 @each_compiler
 def test_calls_that_are_not_qualified_are_refused(chosen):
     """The planted twin: the same program is refused by all compilers, also by those whose library would not mind."""
-    compile.shared_object(CALLS.format("motes::"))
+    compile.finished(compile.begun(CALLS.format("motes::")))
     with pytest.raises(compile.CompileError, match="ambiguous"):
-        compile.shared_object(CALLS.format(""))
+        compile.finished(compile.begun(CALLS.format("")))
 
 
 @needs_compiler
@@ -94,7 +94,7 @@ def test_what_is_kept_has_a_bound_and_what_is_broken_is_compiled_again(monkeypat
 
     def number(place):
         compile._loaded.clear()
-        return compile.shared_object(sources[place])[1].number()
+        return compile.finished(compile.begun(sources[place])).number()
 
     def kept():
         return {path.stem: path.stat().st_mtime for path in folder.glob("*.so")}
@@ -106,9 +106,9 @@ def test_what_is_kept_has_a_bound_and_what_is_broken_is_compiled_again(monkeypat
     oldest = min(before, key=before.get)
     assert [number(place) for place in range(3)] == [0, 1, 2] and min(kept().values()) > 1.1e9, "what is loaded counts as used"
     os.utime(folder / f"{oldest}.so", (1e9, 1e9))
-    monkeypatch.setattr(compile, "MOST_KEPT", sum(path.stat().st_size for path in folder.glob("*.so")))
+    monkeypatch.setattr("motes.core.kept.MOST", sum(path.stat().st_size for path in folder.glob("*.so")))
     assert number(3) == 3 and len(kept()) == 3 and oldest not in kept()
-    monkeypatch.setattr(compile, "MOST_KEPT", 1)
+    monkeypatch.setattr("motes.core.kept.MOST", 1)
     broken = folder / f"{min(kept())}.so"
     broken.unlink()  # this process has it in its memory
     broken.write_bytes(b"broken")

@@ -57,7 +57,8 @@ FILTERS = {"bootstrap": mo.ParticleFilter, "marginalized": mo.MarginalizedPartic
 
 
 def runs(filter, model, ys=YS, key=5, **options):
-    one = mo.run(key, filter, model, ys, **options)
+    with mo.engine("jax"):
+        one = mo.run(key, filter, model, ys, **options)
     with mo.engine("native"):
         return one, mo.run(key, filter, model, ys, **options)
 
@@ -162,8 +163,10 @@ def test_likelihoods_that_are_no_numbers_get_no_weight():
 
 @needs_compiler
 def test_what_runs_is_explained():
-    text = str(mo.explain(mo.ParticleFilter(n=1000), RADAR))
-    assert "move" in text and "native, fused" in text and "engine in force   jax" in text
+    with mo.engine("jax"):
+        text = str(mo.explain(mo.ParticleFilter(n=1000), RADAR))
+    assert "move" in text and "native, fused" in text and "engine in force   jax\nby default:" in text
+    assert "engine in force   auto\n  move" in str(mo.explain(mo.ParticleFilter(n=1000), RADAR))
     stages = dict(mo.explain(mo.ParticleFilter(n=1000, scheme=mo.resampling.Stratified()), RADAR).stages)
     assert stages["move"] == "native kernels around JAX: Stratified resampling" and stages["weigh"].startswith("native, fused")
     stages = dict(mo.explain(mo.ParticleFilter(n=1000, scheme=mo.resampling.StopGradient()), RADAR).stages)
@@ -193,10 +196,10 @@ def test_models_that_do_not_translate_run_all_the_same():
 
 
 def test_unknown_engines_are_refused(monkeypatch):
-    with pytest.raises(mo.MotesError, match="engine: expected one of 'jax', 'native', got 'cuda'"), mo.engine("cuda"):
+    with pytest.raises(mo.MotesError, match="engine: expected one of 'auto', 'jax', 'native', got 'cuda'"), mo.engine("cuda"):
         pass
     monkeypatch.setenv("MOTES_ENGINE", "fast")
-    with pytest.raises(mo.MotesError, match="MOTES_ENGINE: expected one of 'jax', 'native', got 'fast'"):
+    with pytest.raises(mo.MotesError, match="MOTES_ENGINE: expected one of 'auto', 'jax', 'native', got 'fast'"):
         mo.run(0, mo.ParticleFilter(n=300), RADAR, YS[:2])
 
 
@@ -207,6 +210,28 @@ filter = mo.ParticleFilter(n=1000)
 print(mo.run(0, filter, model, np.zeros((3, 1))).engine)
 print(mo.explain(filter, model))
 """
+
+
+@needs_compiler
+@pytest.mark.parametrize("filter, wanted", [
+    (mo.ParticleFilter(n=999), "jax"), (mo.ParticleFilter(n=1000), "native"), (mo.MarginalizedParticleFilter(n=1000), "native"),
+    (mo.ParticleFilter(n=1000, scheme=mo.resampling.Stratified()), "native in part"), (mo.KalmanFilter(), "jax"),
+    (mo.AuxiliaryParticleFilter(n=1000), "native in part"),
+])  # fmt: skip
+def test_the_engine_is_chosen_by_what_is_run(filter, wanted):
+    """The same for a stream; and the numbers are those of the engine that was chosen."""
+    model = MODELS["measured and hidden"]
+    found = mo.run(5, filter, model, YS[:5])
+    assert found.engine == wanted
+    stream = mo.stream(5, filter, model)
+    stream.update(YS[0])
+    for y in YS[1:5]:
+        stream.predict()
+        stream.update(y)
+    assert np.array_equal(stream.mean, found.mean[-1]) and np.array_equal(stream.cov, found.cov[-1])
+    if wanted != "native in part":
+        with mo.engine(wanted):
+            assert np.array_equal(mo.run(5, filter, model, YS[:5]).mean, found.mean)
 
 
 @pytest.mark.parametrize("compiler, reason", [("", "no C++ compiler"), ("false", "the C++ compiler refused")])

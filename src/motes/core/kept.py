@@ -29,7 +29,7 @@ def place(name: str) -> Path:
 
 
 def private_folder(name: str) -> Path | None:
-    """Return the folder for one kind, made where it was missing, or None where it cannot be written to, is not ours alone, or is switched off.
+    """Return the folder for one kind, made where it was missing, or None where it cannot be used or nothing is to be kept.
 
     What lies there is executed, so a folder that others can write to is not used.
     """

@@ -22,13 +22,13 @@ import numpy as np
 from scipy.special import stdtrit
 
 from motes.core import checks, engine, linalg, random
+from motes.core.kept import private_folder
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs
 from motes.costs.flops import Costs
 from motes.costs.measure import least_seconds
 from motes.filters.particle import ParticleFilter
 from motes.io import archive
-from motes.core.kept import private_folder
 from motes.laws.cloud import Cloud
 from motes.models.simulate import simulate
 from motes.models.state_space import StateSpaceModel, as_state_space

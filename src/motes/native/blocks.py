@@ -12,7 +12,7 @@ from motes.core.engine import CompileError
 from motes.core.record import replace
 from motes.laws import cloud
 from motes.native import report
-from motes.native.compile import HEADERS, begun, called, finished
+from motes.native.compile import HEADERS, begun, call_kernel, finished
 from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
 from motes.resampling.schemes import Scheme, Systematic
 
@@ -31,7 +31,7 @@ def standing() -> str:
     if jax.default_backend() != "cpu":
         return f"the device is a {jax.default_backend()}"
     try:
-        begun(_source())
+        begun(_without_model())
     except CompileError as reason:
         return str(reason)
     return ""
@@ -42,14 +42,14 @@ def tried() -> str:
     found = standing()
     if not found:
         try:
-            finished(begun(_source()))
+            finished(begun(_without_model()))
         except CompileError as reason:
             return str(reason)
     return found
 
 
 @cache
-def _source() -> str:
+def _without_model() -> str:
     return (HEADERS / "blocks.cpp").read_text()
 
 
@@ -70,7 +70,7 @@ def usable(n: int, *arrays: jax.Array) -> bool:
 
 
 def _call(symbol: str, results: Any, *operands: jax.Array) -> Any:
-    return called(_source(), f"motes_{symbol}", results, *operands)
+    return call_kernel(_without_model(), f"motes_{symbol}", results, *operands)
 
 
 def differentiable(native: Callable[..., Any], pure: Callable[..., Any]) -> Callable[..., Any]:

@@ -91,14 +91,23 @@ def finished(mark: str) -> ctypes.CDLL:
         CompileError: the compiler failed.
     """
     if mark not in _loaded:
-        try:
-            _loaded[mark] = _begun[mark].result()
-        except CompileError as reason:
-            _failed[mark] = str(reason)
-            raise
-        finally:
-            _begun.pop(mark, None)
+        if mark in _begun and _begun[mark].exception() is None:
+            _loaded[mark] = _begun.pop(mark).result()
+        else:
+            _note_failures()
+            raise CompileError(_failed[mark])
     return _loaded[mark]
+
+
+def _note_failures() -> None:
+    """Wait for all that was begun, so that what is traced next knows of every failure."""
+    for mark, future in list(_begun.items()):
+        reason = future.exception()
+        if isinstance(reason, CompileError):
+            _failed[mark] = str(reason)
+            del _begun[mark]
+        elif reason is not None:
+            raise reason
 
 
 def _found(kept: Path | None) -> ctypes.CDLL | None:
@@ -135,7 +144,7 @@ def _built(source: str, kept: Path | None) -> ctypes.CDLL:
 _registered: set[str] = set()
 
 
-def called(source: str, symbol: str, results: Any, *operands: jax.Array) -> Any:
+def call_kernel(source: str, symbol: str, results: Any, *operands: jax.Array) -> Any:
     """Call a kernel of a source as part of a program; what is compiled from the source is waited for when the program itself is compiled.
 
     Args:

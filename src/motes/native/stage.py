@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.native import lanes
-from motes.native.compile import begun, called
+from motes.native.compile import begun, call_kernel
 from motes.native.translate import Translator, Untranslatable, is_lane, traced
 from motes.tracing.program import walk
 
@@ -177,4 +177,4 @@ def call_weigh(
 
 def _call(stage: Stage, results: Sequence[Any], *operands: jax.Array) -> Sequence[jax.Array]:
     shapes = [jax.ShapeDtypeStruct(result.shape, result.dtype) for result in results]
-    return called(stage.source, stage.kind, shapes, *operands)
+    return call_kernel(stage.source, stage.kind, shapes, *operands)

@@ -16,6 +16,7 @@ from jax.core import Tracer
 from motes.core import random
 from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal
 from motes.native.tables import LookUp
+from motes.tracing import known
 from motes.tracing.internals import Branches, Scan, called, control, has_own_mapping, jitted_name, worked_out
 from motes.tracing.program import walk
 
@@ -265,8 +266,7 @@ def _by_jax(eqn: Any, operands: list[Any]) -> Sequence[Any]:
     """Let JAX work out an operation: at once where all is known, else as part of the program that is being traced."""
     if any(isinstance(value, Tracer) for value in operands):
         return worked_out(eqn, operands)
-    with jax.ensure_compile_time_eval():
-        return [_plain(value) for value in worked_out(eqn, operands)]
+    return [_plain(value) for value in known.worked_out(eqn, operands)]
 
 
 def _plain(value: Any) -> Any:

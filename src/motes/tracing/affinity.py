@@ -30,6 +30,7 @@ from motes.tracing.affinity_values import (
     summary,
     union,
 )
+from motes.tracing.known import worked_out
 from motes.tracing.program import walk
 
 KINDS = ("elements", "whole", "fixed")
@@ -173,8 +174,7 @@ def _computed(equation: Any, operands: Sequence[Value]) -> list[Any] | None:
     if any(prod(variable.aval.shape) > KNOWN_LIMIT for variable in equation.outvars):
         return None
     try:
-        with jax.ensure_compile_time_eval():
-            return internals.worked_out(equation, [value.known for value in operands])
+        return worked_out(equation, [value.known for value in operands])
     except Exception:  # whatever stops it (an axis name, a debugging switch), the numbers are merely not known
         return None
 
