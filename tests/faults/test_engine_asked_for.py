@@ -165,12 +165,12 @@ def test_a_kernel_that_cannot_be_compiled_is_left_to_jax(untold, monkeypatch, tm
     # a program that no other test compiles
     model = mo.StateSpaceModel(line.initial, line.dynamics, mo.AdditiveGaussian(lambda x, u, t: 1.0301 * x[:2], np.eye(2)))
     with mo.engine("jax"):
-        wanted = mo.run(0, filter, linear(), YS)
+        wanted = mo.run(0, filter, model, YS)
     with pytest.warns(mo.MotesWarning, match="a native kernel could not be compiled, and JAX does the work: the disk is full"):
-        found = mo.run(0, filter, linear(), YS)
+        found = mo.run(0, filter, model, YS)
     assert found.engine == "jax" and np.array_equal(found.mean, wanted.mean)
     jax.clear_caches()
-    again = mo.run(0, filter, linear(), YS)
+    again = mo.run(0, filter, model, YS)
     assert again.engine == "native in part" and np.allclose(again.mean, wanted.mean, atol=1e-3)
     compile._failed.clear()
     jax.clear_caches()
@@ -182,4 +182,4 @@ def test_a_kernel_that_cannot_be_compiled_is_left_to_jax(untold, monkeypatch, tm
     compile._failed.clear()
     jax.clear_caches()
     with pytest.raises(mo.MotesError, match="the disk is full"):
-        jax.jit(lambda key: mo.run(key, filter, linear(), YS).mean)(jax.random.key(0))
+        jax.jit(lambda key: mo.run(key, filter, model, YS).mean)(jax.random.key(0))
