@@ -65,6 +65,25 @@ def _(size, batched, x):
     return 2 * x, batched[0]
 
 
+def mixed(x):
+    """A matrix that changes with the state."""
+    return jnp.outer(x, x) / 4 + jnp.eye(3) + 0.1 * A @ A.T
+
+
+KEY = jax.random.key(7)
+
+
+def each_key(function):
+    """A program over a cloud that draws with a key of each particle's own, as a user's sampler does."""
+    return lambda X: [jax.vmap(function, (0, -1), -1)(jax.random.split(KEY, X.shape[1]), X)]
+
+
+def drawn(key, x):
+    first, second, third = jax.random.split(key, 3)
+    late = jax.random.exponential(first, (3,)) * jax.random.bernoulli(jax.random.fold_in(second, 7), 0.5)
+    return x + late + jax.random.randint(second, (), -3, 90) + jax.random.categorical(third, x) + jax.random.gumbel(third)
+
+
 SMOOTH = (jnp.exp, jnp.expm1, jnp.log1p, jnp.sin, jnp.cos, jnp.tan, jnp.arcsin, jnp.arccos, jnp.arctan, jnp.sinh, jnp.cosh, jnp.tanh,
           jnp.arcsinh, jnp.arctanh, jnp.exp2, jnp.cbrt, jax.nn.sigmoid, jax.nn.softplus, jax.scipy.special.erf)  # fmt: skip
 """What JAX makes of their derivatives changes from version to version."""
@@ -110,6 +129,27 @@ PROGRAMS = {
     ),
     "table worked out": over(lambda x: jnp.cumsum(HEIGHTS, axis=1)[whole(x[0]), whole(x[1])] * x),
     "interpolated": over(lambda x: jnp.interp(x, jnp.linspace(-2, 2, 41), HEIGHTS[1, :41])),
+    "Cholesky factor": over(lambda x: jnp.linalg.cholesky(mixed(x)) @ x),
+    "no Cholesky factor": over(lambda x: jnp.linalg.cholesky(mixed(x) - 1.2 * jnp.eye(3)) @ x),
+    "triangular": over(lambda x: jax.scipy.linalg.solve_triangular(A, x, lower=True, unit_diagonal=True)
+                       + jax.scipy.linalg.solve_triangular(mixed(x), A, trans=1)[0]),
+    "solved": over(lambda x: jnp.linalg.solve(mixed(x)[jnp.array([1, 2, 0])], x)),
+    "inverse": over(lambda x: jnp.linalg.inv(mixed(x)[::-1]) @ x),
+    "Cholesky solved": over(lambda x: jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(mixed(x)), x)),
+    "determinant": over(lambda x: x * jnp.linalg.det(jnp.kron(mixed(x), jnp.eye(2)) + A[0, 0])),
+    "exponential": over(lambda x: jax.scipy.linalg.expm(0.7 * mixed(x)) @ x),
+    "sorted": over(lambda x: A @ jnp.sort(jnp.concatenate([x, -x, jnp.array([0.0, -0.0, jnp.nan])]))[2:5]),
+    "order": over(lambda x: jnp.argsort(jnp.round(jnp.concatenate([x, -x, x / 2]))) + x[0]),
+    "sorted down, along columns": over(lambda x: jnp.sort(jnp.outer(x, A[0]), axis=0, descending=True)[:, 1]),
+    "median": over(lambda x: x + jnp.median(x)),
+    "running": over(lambda x: jnp.cumsum(x) + jnp.cumprod(x)[::-1] + jax.lax.cummax(x, reverse=True) + jax.lax.cummin(x)),
+    "largest": over(lambda x: x[jnp.argmax(x)] + jnp.argmin(jnp.outer(x, x), axis=0)),
+    "largest, none a number": over(lambda x: jnp.argmax(jnp.where(x > 0.5, jnp.nan, x)) + x),
+    "own array": over(lambda x: jnp.outer(x, x)[whole(2 * x[0]), whole(2 * x[1])] + x[whole(x)] + x.at[whole(9 * x)].get(mode="fill")),
+    "keys": each_key(lambda key, x: x + jax.random.normal(key, (3,)) @ A),
+    "keys split": each_key(drawn),
+    "keys chosen": each_key(lambda key, x: jax.random.uniform(jnp.where(x[0] > 0, *jax.random.split(key)), (3,), minval=x, maxval=2.0)),
+    "shifts": over(lambda x: x + (whole(9 * x) << 3) + (whole(9 * x) >> 1) + jax.lax.shift_right_logical(whole(9 * x), whole(x)) % 7),
     "Runge and Kutta": over(lambda x: jax.lax.fori_loop(0, 10, lambda i, z: runge_kutta(z), x)),
     "loop with rows": over(lambda x: jax.lax.scan(lambda z, row: (jnp.tanh(A @ z + row), z[0]), x, HEIGHTS[:5, :3])[0]),
     "loop that gives rows": over(lambda x: jax.lax.scan(lambda z, row: (z * row, z + row), x, A, reverse=True)[1][1]),
@@ -183,7 +223,10 @@ ACROSS = {
     "shifted by padding": lambda X: [jax.lax.pad(X, jnp.float32(0), ((0, 0, 0), (1, -1, 0)))],
     "matrix of particles": lambda X: [(X @ X.T) @ X],
     "own numbers of each": lambda X: [X + jax.random.normal(jax.random.key(0), X.shape)],
-    "key of each": lambda X: [X + jax.vmap(lambda key: jax.random.uniform(key))(jax.random.split(jax.random.key(0), X.shape[1]))],
+    "keys of others": lambda X: [X + jax.vmap(jax.random.uniform)(jax.random.split(KEY, X.shape[1])[::-1])],
+    "one key of all": lambda X: [X + jax.vmap(jax.random.uniform)(jax.random.split(KEY, 1))],
+    "the largest": lambda X: [X[:, jnp.argmax(X[0])][:, None] + X],
+    "factor over particles": lambda X: [X @ jnp.linalg.cholesky(X.T @ X)],
     "our numbers, rule for many": lambda X: [X + sequential_vmap(lambda key: random.normal(key, X.shape, jnp.float32))(jax.random.key(0))],
     "our numbers, sums over particles": lambda X: [X + random.normal(jax.random.key(0), X.shape, jnp.float32).sum(axis=1)[:, None]],
 }
@@ -197,9 +240,12 @@ def test_programs_in_which_particles_meet_are_refused(name):
 
 @pytest.mark.parametrize("program", [
     over(lambda x: jax.lax.while_loop(lambda z: z[0] < 3, lambda z: z + 1, x)),
-    over(lambda x: jnp.linalg.solve(jnp.eye(3) + jnp.outer(x, x), x)),
+    over(lambda x: jnp.linalg.inv(jnp.eye(41) + x[0])[0, :3]),
+    over(lambda x: jnp.sort(jnp.tile(x, 14))[:3]),
     over(lambda x: x + jax.pure_callback(lambda z: np.asarray(z), jax.ShapeDtypeStruct((3,), jnp.float32), x, vmap_method="expand_dims")),
-    over(lambda x: x + x[jnp.int32(x[0])]),
+    over(lambda x: x + jnp.tile(x, 22)[jnp.int32(x[0])]),
+    lambda X: [X + jax.vmap(lambda key, x: x * jax.random.bits(key, (3,), jnp.uint8), (0, -1), -1)(jax.random.split(KEY, X.shape[1]), X)],
+    lambda X: [X + jax.vmap(lambda key, x: jax.random.normal(key, (3,)), (0, -1), -1)(jax.random.split(KEY, (1, X.shape[1]))[0], X)],
     over(lambda x: jax.lax.scan(lambda z, row: (z + 1, z), x, jnp.zeros((0, 3)))[0] + x),
     over(lambda x: jax.lax.fori_loop(0, 1_000_000, lambda i, z: z[::-1], x)),
 ])  # fmt: skip

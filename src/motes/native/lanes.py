@@ -6,9 +6,11 @@ It is a proof for the operations that `translate.py` knows; it refuses all other
 import math
 from typing import Any
 
+from motes.native.keys import NUMBERED
 from motes.native.rules import MOVES, Untranslatable
 from motes.native.translate import block_of
-from motes.tracing.internals import Branches, Scan, called, control, has_own_mapping, without_constants
+from motes.native.written_out import WRITTEN_OUT, own_axes
+from motes.tracing.internals import Branches, Scan, Solve, called, control, has_own_mapping, without_constants
 from motes.tracing.program import walk
 
 COUNT = 99_991
@@ -53,7 +55,15 @@ class _Apart:
         parts = control(eqn, before)
         if isinstance(parts, Scan):
             return self._check_loop(eqn, parts, after)
+        if isinstance(parts, Solve):
+            walk(parts.program, parts.operands, self)
+            return None
+        if name in WRITTEN_OUT and any(set(axes) & set(own_axes(name, eqn.params, i, len(eqn.invars[i].aval.shape)))
+                                       for i, axes in enumerate(before)):  # fmt: skip
+            _refuse(name)
         given, made = any(before), [bool(axes) for axes in after]
+        if name == NUMBERED and not given:
+            return _check_numbered(eqn, made)
         if given and not all(made):
             _refuse(name)
         if not given and any(made) and name != "broadcast_in_dim":
@@ -69,6 +79,12 @@ class _Apart:
         if loop.length == COUNT or [0] in [*loop.rows, *after[len(loop.carry) :]]:
             _refuse(eqn.primitive.name)
         walk(loop.body, [_axes(variable) for variable in without_constants(loop.body)[0].invars], self)
+
+
+def _check_numbered(eqn: Any, made: list[bool]) -> None:
+    """As many keys as there are particles are theirs, others are of all; one alone could be either."""
+    if eqn.params["shape"] == (1,) or (any(made) and eqn.params["shape"] != (COUNT,)):
+        _refuse(NUMBERED)
 
 
 def _axes(atom: Any) -> list[int]:
@@ -92,12 +108,20 @@ def _check_move(eqn: Any, before: list[list[int]], after: list[int]) -> None:
         "rev": lambda: axis in params["dimensions"],
         "reshape": lambda: math.prod(shape[:axis]) != math.prod(eqn.outvars[0].aval.shape[: after[0]]),
         "pad": lambda: params["padding_config"][axis] != (0, 0, 0),
-        "gather": lambda: params["slice_sizes"][axis] != COUNT or axis in (*numbers.start_index_map, *numbers.collapsed_slice_dims),
+        "gather": lambda: not _gathers_apart(params, axis, before),
         "scatter": lambda: not before[2] or axis in (*numbers.inserted_window_dims, *numbers.scatter_dims_to_operand_dims),
         "dynamic_update_slice": lambda: before[1] != [axis],
     }
     if wrong.get(name, lambda: False)():
         _refuse(name)
+
+
+def _gathers_apart(params: dict[str, Any], axis: int, before: list[list[int]]) -> bool:
+    """Tell whether each particle is read from its own array: whole from all of them, or at places of its own from its own."""
+    numbers = params["dimension_numbers"]
+    if axis in numbers.operand_batching_dims:
+        return before[1] == [numbers.start_indices_batching_dims[numbers.operand_batching_dims.index(axis)]]
+    return params["slice_sizes"][axis] == COUNT and axis not in (*numbers.start_index_map, *numbers.collapsed_slice_dims) and not before[1]
 
 
 def _refuse(name: str) -> None:

@@ -71,8 +71,14 @@ FLOAT_FORMULAS = {
     "one_minus_square": "(1.f + {0}) * (1.f - {0})", "rem": "motes::remainder({0}, {1})",
     "lt_to": "motes::rank({0}) < motes::rank({1})", "le_to": "motes::rank({0}) <= motes::rank({1})",
 }  # fmt: skip
-UNSIGNED_FORMULAS = {"not": "~{0}", "div": "motes::quotient({0}, {1})", "rem": "motes::left_over({0}, {1})"}
-SIGNED_FORMULAS = {**UNSIGNED_FORMULAS, "abs": "{0} < 0 ? -{0} : {0}", "sign": "({0} > 0) - ({0} < 0)"}
+UNSIGNED_FORMULAS = {
+    "not": "~{0}", "div": "motes::quotient({0}, {1})", "rem": "motes::left_over({0}, {1})",
+    "shift_left": "(uint32_t){1} < 32u ? {0} << {1} : 0", "shift_right_logical": "(uint32_t){1} < 32u ? (uint32_t){0} >> {1} : 0u",
+}  # fmt: skip
+SIGNED_FORMULAS = {
+    **UNSIGNED_FORMULAS, "abs": "{0} < 0 ? -{0} : {0}", "sign": "({0} > 0) - ({0} < 0)",
+    "shift_right_arithmetic": "{0} >> ((uint32_t){1} < 32u ? {1} : 31)",
+}  # fmt: skip
 _OURS_ALONE = {"logistic", "rsqrt", "erf_inv"}  # not in the standard library
 _TESTS = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite", "lt_to", "le_to"}
 _OF_KIND = {"float": FLOAT_FORMULAS, "int32_t": SIGNED_FORMULAS, "uint32_t": UNSIGNED_FORMULAS, "bool": {"not": "!{0}"}}

@@ -14,10 +14,12 @@ import numpy as np
 from jax.core import Tracer
 
 from motes.core import random
+from motes.native import keys
 from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal
 from motes.native.tables import LookUp
+from motes.native.written_out import WRITTEN_OUT, Writer
 from motes.tracing import known
-from motes.tracing.internals import Branches, Scan, called, control, has_own_mapping, jitted_name, worked_out
+from motes.tracing.internals import Branches, Scan, Solve, called, control, has_own_mapping, jitted_name, worked_out
 from motes.tracing.program import walk
 
 MOST_STATEMENTS = 6_000
@@ -103,19 +105,33 @@ class Translator:
         shared = not any(is_lane(value) for value in operands)
         if called(eqn) is not None and not (shared and has_own_mapping(eqn)):
             return walk(called(eqn), operands, self)
+        if shared and eqn.primitive.name == keys.NUMBERED and eqn.params["shape"] == (1,):
+            return [_array([keys.numbered(self.scalars(jax.random.key_data(operands[0])))], (1,))]
         if shared:
             return _by_jax(eqn, operands)
-        name = eqn.primitive.name
-        if name == "optimization_barrier":
-            return operands
         parts = control(eqn, operands)
+        return self._plain(eqn, operands) if parts is None else self._controlled(eqn.primitive.name, parts)
+
+    def _controlled(self, name: str, parts: Any) -> Sequence[Any]:
         if isinstance(parts, Branches):
             return self._branches(parts)
         if isinstance(parts, Scan):
             return self._unrolled(parts)
-        if name == "gather" and is_lane(operands[1]) and not is_lane(operands[0]):
-            look_up = LookUp(eqn, self._table(operands[0]), lambda kind, text: self._named(kind, text).text)
+        if isinstance(parts, Solve):
+            return walk(parts.program, parts.operands, self)
+        raise Untranslatable(f"the operation {name}: how often it turns is not known beforehand")
+
+    def _plain(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
+        name = eqn.primitive.name
+        if name == "optimization_barrier":
+            return operands
+        if name == "gather" and is_lane(operands[1]):
+            look_up = LookUp(eqn, operands[0] if is_lane(operands[0]) else self._table(operands[0]), self._named)
             return [look_up.at(operands[1], eqn.outvars[0].aval.shape)]
+        if name in keys.DRAWN:
+            return [keys.DRAWN[name](self._named, eqn.params, *map(self.scalars, operands))]
+        if name in WRITTEN_OUT:
+            return WRITTEN_OUT[name](Writer(self._named), eqn.params, *map(self.scalars, operands))
         if name in MOVES:
             return self._moved(eqn, operands)
         if name in REDUCTIONS:

@@ -27,6 +27,17 @@ static inline __attribute__((always_inline)) Words threefry(Key key, uint32_t a,
   return {a, b};
 }
 
+// of a key of one particle's own: a child, and a random word
+static inline __attribute__((always_inline)) Key child(Key key, uint32_t high, uint32_t low) {
+  Words words = threefry(key, high, low);
+  return {words.first, words.second};
+}
+
+static inline __attribute__((always_inline)) uint32_t word(Key key, uint32_t number) {
+  Words words = threefry(key, 0, number);
+  return words.first ^ words.second;
+}
+
 // step by step as in motes.core.random
 static inline __attribute__((always_inline)) float to_normal(uint32_t word) {
   float centered = (float)(int32_t)word * 4.65661287e-10f;
