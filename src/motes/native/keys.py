@@ -41,7 +41,7 @@ def _bits(named: Callable[[str, str], Scalar], params: dict[str, Any], keys: np.
 
 
 def _folded(named: Callable[[str, str], Scalar], params: dict[str, Any], keys: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    made = np.empty(keys.shape, object)
+    made, numbers = np.empty(keys.shape, object), np.broadcast_to(numbers, keys.shape)
     for index in np.ndindex(*keys.shape):
         made[index] = named(KIND, f"motes::child({keys[index].text}, 0, {numbers[index].text})")
     return made
