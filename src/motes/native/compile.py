@@ -8,8 +8,10 @@ import platform
 import shlex
 import shutil
 import subprocess
+import sys
 import tempfile
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,22 +26,25 @@ from motes.tracing.internals import before_compiling
 HEADERS = Path(__file__).parent / "cpp"
 FLAGS = (
     "-std=c++17", "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fwrapv", "-fopenmp-simd",
-    "-fPIC", "-shared", "-fvisibility=hidden", "-w",
+    "-fPIC", "-shared", "-fvisibility=hidden", "-w", "-nostdinc++", "-xc++",
 )  # fmt: skip
 """No flag lets the compiler take NaN for impossible or reorder a sum that is not marked. Hidden names keep the kernels of different models,
-which have the same names inside, apart."""
+which have the same names inside, apart. The library of C++ is not there to be included."""
 SECONDS = 300
 
 
 @functools.cache
 def compiler() -> tuple[str, ...]:
-    """Return the words that call the C++ compiler: those of the environment variable CXX, else g++ or clang++ on the path; else none."""
+    """Return the words that call a C++ compiler: those of the environment variable CXX, else g++ or clang++ on the path, else ziglang's.
+
+    None where there is none of them. The package ziglang, which the extra `native` brings, has clang for every system.
+    """
     for name in (os.environ.get("CXX"), "g++", "clang++"):
         words = shlex.split(name) if name else []
         found = shutil.which(words[0]) if words else None
         if found:
             return (found, *words[1:])
-    return ()
+    return (sys.executable, "-m", "ziglang", "cc") if find_spec("ziglang") else ()
 
 
 @functools.cache
@@ -58,7 +63,7 @@ def _wide() -> tuple[str, ...]:
 def _required() -> tuple[str, ...]:
     found = compiler()
     if not found:
-        raise CompileError("no C++ compiler: g++ or clang++ on the path, or CXX")
+        raise CompileError("no C++ compiler: g++ or clang++ on the path, CXX, or pip install 'motes[native]'")
     return found
 
 
@@ -125,7 +130,7 @@ def _built(source: str, kept: Path | None) -> ctypes.CDLL:
     with unfinished(Path(tempfile.mkdtemp(dir=kept.parent if kept else None))) as folder:
         text, made = folder / "kernel.cpp", folder / "kernel.so"
         text.write_text(source)
-        words = [*_required(), *FLAGS, *_wide(), f"-I{HEADERS}", f"-I{jax.ffi.include_dir()}", "-o", str(made), str(text)]
+        words = [*_required(), *FLAGS, *_wide(), f"-I{HEADERS}", f"-I{jax.ffi.include_dir()}", "-o", str(made), str(text), "-lm"]
         try:
             done = subprocess.run(words, capture_output=True, text=True, timeout=SECONDS, check=False)
         except (OSError, subprocess.TimeoutExpired) as reason:

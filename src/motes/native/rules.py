@@ -48,13 +48,17 @@ def literal(value: Any, kind: str) -> str:
     return f"({float(number).hex()}f)"
 
 
+def _of_c(name: str) -> str:
+    """Return a function of the C library, for float32."""
+    return f"__builtin_{name}f"
+
+
 FUNCTIONS = {
     **{name: f"motes::{name}" for name in (
         "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "logistic", "sqrt",
         "rsqrt", "erf_inv")},
     # these keep a loop from being vectorized, but are right
-    "cbrt": "std::cbrt", "erf": "std::erf", "erfc": "std::erfc", "exp2": "std::exp2", "log2": "std::log2", "lgamma": "std::lgamma",
-    "pow": "std::pow", "asinh": "std::asinh", "acosh": "std::acosh", "atanh": "std::atanh",
+    **{name: _of_c(name) for name in ("cbrt", "erf", "erfc", "exp2", "log2", "lgamma", "pow", "asinh", "acosh", "atanh")},
 }  # fmt: skip
 """Functions of float32 alone; those of the namespace motes are in `cpp/math.hpp`."""
 
@@ -113,7 +117,7 @@ def _function(name: str, accuracy: Any) -> str | None:
     if accuracy is None:
         return FUNCTIONS.get(name)
     highest = accuracy is jax.lax.AccuracyMode.HIGHEST and name in FUNCTIONS and name not in _OURS_ALONE
-    return f"std::{name}" if highest else None
+    return _of_c(name) if highest else None
 
 
 def _conversion(before: str, after: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ static void normal_block(const Frame& frame, const Team& team) {
       Scratch memory(sizeof(float) * BLOCK * rows);
       auto* noise = memory.as<float[BLOCK]>();
       normals({key[0], key[1]}, (uint32_t)(b * BLOCK), (int)rows, noise);
-      for (int64_t r = 0; r < rows; r++) std::memcpy(data + r * n + b * BLOCK, noise[r], sizeof(float) * length_of(b, n));
+      for (int64_t r = 0; r < rows; r++) __builtin_memcpy(data + r * n + b * BLOCK, noise[r], sizeof(float) * length_of(b, n));
     });
   });
 }

@@ -1,9 +1,7 @@
 // Elementary functions without branches, so that loops over particles vectorize with any compiler; within 2 units in the last place
 // of float32 (tan, sinh, cosh, asin, acos: 4). Polynomials are minimax fits made for these intervals.
 #pragma once
-#include <math.h>  // not only <cmath>: the library's functions are global names too, as they are everywhere with some standard libraries,
-#include <cmath>   // so that every compiler refuses a call of one of the functions below, outside of this namespace, that is not qualified
-#include <cstdint>
+#include <stdint.h>
 
 #if defined(__FMA__) || defined(__ARM_FEATURE_FMA) || defined(__aarch64__)
 #define MOTES_FMA(a, b, c) __builtin_fmaf(a, b, c)

@@ -1,11 +1,8 @@
 // What every kernel needs of its surroundings: its operands, the threads of XLA, scratch memory that is kept between calls.
+// Nothing needs the library of C++: some compilers have to build it first, and to read its headers takes longer than to compile a model.
 #pragma once
-#include <atomic>
-#include <cstdlib>
-#include <memory>
-#include <mutex>
-#include <thread>
-#include <vector>
+#include <sched.h>
+#include <stdlib.h>
 
 #include "random.hpp"
 #include "xla/ffi/api/c_api.h"
@@ -51,29 +48,44 @@ struct Batch {
 // Scratch memory, given back to a store when the call ends and taken from it by the next one.
 class Scratch {
   struct Piece { void* data; size_t size; };
-  static std::vector<Piece>& store() { static auto* kept = new std::vector<Piece>; return *kept; }
-  static std::mutex& lock() { static auto* mutex = new std::mutex; return *mutex; }
+  struct Store {
+    static constexpr int MOST = 64;
+    Piece kept[MOST];
+    int count;
+    bool taken;
+    // held for a few instructions
+    void lock() {
+      while (__atomic_test_and_set(&taken, __ATOMIC_ACQUIRE)) sched_yield();
+    }
+    void unlock() { __atomic_clear(&taken, __ATOMIC_RELEASE); }
+    Piece take(int i) {
+      Piece one = kept[i];
+      kept[i] = kept[--count];
+      return one;
+    }
+  };
+  static Store& store() { static Store one; return one; }
   Piece piece{nullptr, 0};
 
  public:
   explicit Scratch(size_t bytes) {
-    {
-      std::lock_guard<std::mutex> guard(lock());
-      auto& kept = store();
-      for (size_t i = 0; i < kept.size(); i++) {
-        if (kept[i].size < bytes || kept[i].size > 4 * bytes + 4096) continue;
-        piece = kept[i], kept[i] = kept.back(), kept.pop_back();
-        return;
-      }
-      if (kept.size() >= 64) std::free(kept[0].data), kept[0] = kept.back(), kept.pop_back();
-    }
+    Store& all = store();
+    all.lock();
+    for (int i = 0; i < all.count && !piece.data; i++)
+      if (all.kept[i].size >= bytes && all.kept[i].size <= 4 * bytes + 4096) piece = all.take(i);
+    all.unlock();
+    if (piece.data) return;
     size_t rounded = (bytes + 4095) / 4096 * 4096;
-    piece = {std::aligned_alloc(4096, rounded), rounded};
-    if (!piece.data) std::abort();
+    piece = {aligned_alloc(4096, rounded), rounded};
+    if (!piece.data) abort();
   }
   ~Scratch() {
-    std::lock_guard<std::mutex> guard(lock());
-    store().push_back(piece);
+    Store& all = store();
+    all.lock();
+    void* old = all.count == Store::MOST ? all.take(0).data : nullptr;
+    all.kept[all.count++] = piece;
+    all.unlock();
+    free(old);
   }
   Scratch(const Scratch&) = delete;
   template <class T>
@@ -86,20 +98,22 @@ class Team {
   decltype(XLA_FFI_CallFrame::ctx) context;
   int64_t threads = 1;
 
+  // outlives the call where a helper has not begun when all is done: the last one who lets go of it frees it
   template <class Work>
   struct Shared {
     Work work;
-    int64_t count, chunk;
-    std::atomic<int64_t> next{0}, done{0};
-    Shared(Work w, int64_t n, int64_t c) : work(w), count(n), chunk(c) {}
+    int64_t count, chunk, next, done, holders;
     void help() {
       for (;;) {
-        int64_t begin = next.fetch_add(chunk, std::memory_order_relaxed);
+        int64_t begin = __atomic_fetch_add(&next, chunk, __ATOMIC_RELAXED);
         if (begin >= count) return;
         int64_t end = begin + chunk < count ? begin + chunk : count;
         for (int64_t i = begin; i < end; i++) work(i);
-        done.fetch_add(end - begin, std::memory_order_release);
+        __atomic_fetch_add(&done, end - begin, __ATOMIC_RELEASE);
       }
+    }
+    void let_go(int64_t of = 1) {
+      if (__atomic_sub_fetch(&holders, of, __ATOMIC_ACQ_REL) == 0) free(this);
     }
   };
 
@@ -131,24 +145,28 @@ class Team {
     }
     using State = Shared<Work>;
     int64_t chunk = count / (4 * threads) > 1 ? count / (4 * threads) : 1;
-    auto state = std::make_shared<State>(work, count, chunk);
     int64_t helpers = (threads < count ? threads : count) - 1;
+    void* room = malloc(sizeof(State));
+    if (!room) abort();
+    State first{work, count, chunk, 0, 0, helpers + 1};
+    auto* state = (State*)__builtin_memcpy(room, &first, sizeof(State));
+    auto task = [](void* raw) {
+      ((State*)raw)->help();
+      ((State*)raw)->let_go();
+    };
+    int64_t refused = 0;
     for (int64_t h = 0; h < helpers; h++) {
-      auto* ticket = new std::shared_ptr<State>(state);
-      auto task = [](void* raw) {
-        std::unique_ptr<std::shared_ptr<State>> own((std::shared_ptr<State>*)raw);
-        (*own)->help();
-      };
-      XLA_FFI_ThreadPool_Schedule_Args args{XLA_FFI_ThreadPool_Schedule_Args_STRUCT_SIZE, nullptr, context, task, ticket};
-      if (api->XLA_FFI_ThreadPool_Schedule(&args)) delete ticket;
+      XLA_FFI_ThreadPool_Schedule_Args args{XLA_FFI_ThreadPool_Schedule_Args_STRUCT_SIZE, nullptr, context, task, state};
+      if (api->XLA_FFI_ThreadPool_Schedule(&args)) refused++;
     }
     state->help();
-    for (int64_t spins = 0; state->done.load(std::memory_order_acquire) < count; spins++) {
-      if (spins > 4000) std::this_thread::yield();  // a helper has lost its processor to somebody else
+    for (int64_t spins = 0; __atomic_load_n(&state->done, __ATOMIC_ACQUIRE) < count; spins++) {
+      if (spins > 4000) sched_yield();  // a helper has lost its processor to somebody else
 #if defined(__x86_64__)
       else __builtin_ia32_pause();
 #endif
     }
+    state->let_go(1 + refused);
   }
 };
 

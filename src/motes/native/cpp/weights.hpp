@@ -1,7 +1,6 @@
 // From log likelihoods to normalized log weights, and from log weights to ancestors; sums in double precision, block by block, in an
 // order that does not depend on the number of threads.
 #pragma once
-#include <cstring>
 
 #include "runtime.hpp"
 
@@ -69,11 +68,11 @@ static inline Judgement judge(const Tally* tallies, int64_t blocks, float* __res
   double sum = 0, squares = 0;
   for (int64_t b = 0; b < blocks; b++) {
     if (!(tallies[b].top > -INF)) continue;
-    double scale = std::exp((double)tallies[b].top - (double)anchor);
+    double scale = __builtin_exp((double)tallies[b].top - (double)anchor);
     sum += scale * tallies[b].sum, squares += scale * scale * tallies[b].squares;
   }
   if (all.top == INF) sum = INF;
-  double log_sum = std::log(sum);
+  double log_sum = __builtin_log(sum);
   info[0] = (float)(anchor + log_sum);
   info[1] = (float)(sum * sum / squares);
   info[2] = (float)all.invalid;
@@ -109,7 +108,7 @@ static inline void children(const float* __restrict weights, double before, doub
   int end = m;
   ends[end] = last;
   while (end > 1 && weights[end - 1] == 0.f) ends[--end] = last;
-  std::memset(ancestors + first, 0, sizeof(int32_t) * (last - first));
+  __builtin_memset(ancestors + first, 0, sizeof(int32_t) * (last - first));
 #pragma omp simd
   for (int i = 0; i < m; i++)
     if (ends[i + 1] > ends[i]) ancestors[ends[i]] = (int32_t)begin + i;
@@ -150,9 +149,9 @@ static inline void choose(const Team& team, const float* log_weights, float u, f
   sums[0] = 0;
   for (int64_t b = 0; policy != NEVER && b < blocks; b++) sums[b + 1] += sums[b], square += squares[b], term += terms[b];
   bool needed = policy == ALWAYS || (policy == SIZE && 1.0 / square < threshold * (double)n) ||
-                (policy == ENTROPY && std::log((double)n) + term > threshold);
+                (policy == ENTROPY && __builtin_log((double)n) + term > threshold);
   double scale = (double)n / sums[blocks];
-  float equal = -std::log((float)n);
+  float equal = -__builtin_logf((float)n);
   team.each(blocks, ALONE, [=](int64_t b) {
     int64_t begin = b * BLOCK;
     int m = length_of(b, n);
