@@ -26,7 +26,7 @@ from motes.tracing.internals import before_compiling
 HEADERS = Path(__file__).parent / "cpp"
 FLAGS = (
     "-std=c++17", "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fwrapv", "-fopenmp-simd",
-    "-fPIC", "-shared", "-fvisibility=hidden", "-w", "-nostdinc++", "-xc++",
+    "-fPIC", "-shared", "-fvisibility=hidden", "-w", "-nostdinc++", "-fno-exceptions", "-xc++",
 )  # fmt: skip
 """No flag lets the compiler take NaN for impossible or reorder a sum that is not marked. Hidden names keep the kernels of different models,
 which have the same names inside, apart. The library of C++ is not there to be included."""
@@ -138,12 +138,15 @@ def _built(source: str, kept: Path | None) -> ctypes.CDLL:
         if done.returncode:
             first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
             raise CompileError(f"the C++ compiler refused the source: {first}")
-        if kept is None:
-            return ctypes.CDLL(str(made))
-        # whole or not at all: another process may be looking for the same file
-        os.replace(made, kept)
-    prune(kept.parent, kept)
-    return ctypes.CDLL(str(kept))
+        try:
+            loaded = ctypes.CDLL(str(made))
+        except OSError as reason:
+            raise CompileError(f"what the C++ compiler made cannot be loaded: {reason}") from None
+        if kept is not None:  # whole or not at all: another process may be looking for the same file
+            os.replace(made, kept)
+    if kept is not None:
+        prune(kept.parent, kept)
+    return loaded
 
 
 _registered: set[str] = set()
