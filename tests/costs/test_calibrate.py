@@ -70,7 +70,7 @@ def test_constants_of_a_known_machine(machine, tmp_path):
     assert found.flop.value == pytest.approx(linregress(flops, products).slope)
     assert found.costs.c3 == pytest.approx(found.normal.value / found.flop.value)
     assert found.costs == mo.costs.Costs(*(slope.value for slope in found.equivalent_flops.values()))
-    assert found.engine == "jax" and "cpu" in found.device
+    assert found.engine == "auto" and "cpu" in found.device
 
 
 def test_kept_and_measured_again(machine, tmp_path):
@@ -122,7 +122,7 @@ def test_a_busy_machine_is_refused(machine, monkeypatch):
 def test_command(machine, capsys, tmp_path):
     assert main(["calibrate"]) == 0
     text = capsys.readouterr().out
-    for word in ("c1", "c2", "c3", "445", "487", "125", "95% interval", "R squared", "one flop takes", "engine jax"):
+    for word in ("c1", "c2", "c3", "445", "487", "125", "95% interval", "R squared", "one flop takes", "engine auto"):
         assert word in text, text
     (path,) = files(tmp_path)
     path.write_bytes(b"PK")

@@ -84,7 +84,8 @@ def test_custom_model_equals_its_additive_twin():
     first = jax.tree.map(lambda leaf: leaf[0], u)
     assert np.allclose(model.sensor.log_prob(ys[0], X, first, 0), twin.sensor.log_prob(ys[0], X, first, 0), atol=1e-4)
     ours, theirs = (mo.run(1, mo.ParticleFilter(n=20_000), m, ys, u) for m in (model, twin))
-    assert np.abs(ours.mean - theirs.mean).max() < 0.05
+    # over 24 seeds the difference has a standard deviation of at most 0.02 in either component of any step
+    assert np.abs(ours.mean - theirs.mean).max() < 0.12
     assert mo.structure(model, first).linear == ()
 
 
