@@ -163,7 +163,7 @@ SHARDED = """
 import hashlib, json
 import jax, jax.numpy as jnp, numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from motes.core import engine, random
+from motes.core import random
 
 assert len(jax.devices()) == 4
 key = random.as_key(3)

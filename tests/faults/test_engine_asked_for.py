@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import warnings
+from importlib.util import find_spec
 from pathlib import Path
 
 import jax
@@ -77,7 +78,7 @@ def test_silence_is_noticed(untold, monkeypatch):
         told_as_it_is(engine, texts, stages(filter, linear()))
 
 
-WALK = mo.Custom(sample=lambda key, x, u, t: x + jax.random.normal(key, (2,)))
+WALK = mo.AdditiveGaussian(lambda x, u, t: jax.lax.while_loop(lambda x: x[0] > 9, lambda x: x / 2, x), np.eye(2))
 CASES = {
     "scheme": (mo.ParticleFilter(n=300, scheme=mo.resampling.Stratified()), "move", "Stratified resampling"),
     "few": (mo.ParticleFilter(n=100), "weigh", "fewer than 256 particles"),
@@ -137,6 +138,7 @@ model.initial.sample(jax.random.key(0), 2000)
 """
 
 
+@pytest.mark.skipif(bool(find_spec("ziglang")), reason="there is a compiler: the package ziglang")
 def test_without_a_compiler(tmp_path):
     surroundings = os.environ | {"PATH": "", "CXX": "", "MOTES_ENGINE": "native", "XDG_CACHE_HOME": str(tmp_path), "JAX_PLATFORMS": "cpu"}
     done = subprocess.run([sys.executable, "-W", "always", "-c", WITHOUT], capture_output=True, text=True, timeout=300, env=surroundings)

@@ -40,10 +40,10 @@ def chosen(request, monkeypatch, tmp_path, tmp_path_factory):
     if missing:
         pytest.skip(f"{command}: {missing}")
     monkeypatch.setattr(compile, "FLAGS", tuple(flag for flag in compile.FLAGS if flag != "-O3"))  # compiles faster
-    for function in (compile.compiler, compile._surroundings):
+    for function in (compile.compiler, compile._maker, compile._surroundings):
         function.cache_clear()
     yield command
-    for function in (compile.compiler, compile._surroundings):
+    for function in (compile.compiler, compile._maker, compile._surroundings):
         function.cache_clear()
 
 

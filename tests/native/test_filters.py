@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import jax
 import jax.numpy as jnp
@@ -188,9 +189,26 @@ def test_float64_is_left_to_jax(double):
 
 
 @needs_compiler
+def test_a_sampler_of_the_users_own():
+    """With a key for each particle, split at will: the numbers of JAX."""
+
+    def jumping(key, x, u, t):
+        first, second = jax.random.split(key)
+        return A @ x + jnp.where(jax.random.bernoulli(first, 0.1), 5.0, 1.0) * jax.random.normal(second, (6,))
+
+    model = mo.StateSpaceModel(INITIAL, mo.Custom(sample=jumping), SENSOR, NAMES)
+    wanted, ours = runs(mo.ParticleFilter(n=2000, policy=mo.resampling.Never()), model)
+    assert ours.engine == "native" and np.allclose(ours.mean, wanted.mean, rtol=1e-3, atol=1e-2)
+
+
+@needs_compiler
 def test_models_that_do_not_translate_run_all_the_same():
-    """A sampler with a key for each particle: JAX moves, native kernels resample and weigh; without resampling nothing differs."""
-    step = mo.Custom(sample=lambda key, x, u, t: A @ x + jax.random.normal(key, (6,)))
+    """A loop whose turns are not known: JAX moves, native kernels resample and weigh; without resampling nothing differs."""
+
+    def slowed(x, u, t):
+        return jax.lax.while_loop(lambda x: jnp.hypot(x[2], x[3]) > 20, lambda x: x.at[2:4].multiply(0.9), jnp.asarray(A, x.dtype) @ x)
+
+    step = mo.AdditiveGaussian(slowed, Q)
     wanted, ours = runs(mo.ParticleFilter(n=2000, policy=mo.resampling.Never()), mo.StateSpaceModel(INITIAL, step, SENSOR, NAMES))
     assert ours.engine == "native in part" and np.allclose(ours.mean, wanted.mean, rtol=1e-3, atol=1e-2)
 
@@ -236,6 +254,8 @@ def test_the_engine_is_chosen_by_what_is_run(filter, wanted):
 
 @pytest.mark.parametrize("compiler, reason", [("", "no C++ compiler"), ("false", "the C++ compiler refused")])
 def test_without_a_compiler_jax_does_the_work(compiler, reason, tmp_path):
+    if not compiler and find_spec("ziglang"):
+        pytest.skip("there is a compiler: the package ziglang")
     path = "" if not compiler else os.path.dirname(subprocess.run(["which", "false"], capture_output=True, text=True).stdout)
     surroundings = os.environ | {"PATH": path, "CXX": compiler, "MOTES_ENGINE": "native", "XDG_CACHE_HOME": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=120, env=surroundings)

@@ -1,5 +1,7 @@
 """Traced programs as native kernels: the same numbers as JAX, or a refusal, never something else."""
 
+import subprocess
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from jax.custom_batching import custom_vmap, sequential_vmap
 from native_tools import by_jax, natively, needs_compiler
 
 from motes.core import random
+from motes.native import compile, stage
 from motes.native.rules import Untranslatable
 from tiers import but_one_in, each
 
@@ -164,6 +167,28 @@ def test_same_numbers_as_jax(name):
     # differences of numbers that lie close together, and products one after the other
     tolerance = 3e-5 if name in ("exponential", "interpolated") else 2e-6
     assert np.allclose(ours, wanted, rtol=tolerance, atol=tolerance, equal_nan=True)
+
+
+SCALAR = {
+    "clipped", "powers", "gradients of functions", "error functions", "exponential",  # functions of the C library
+    "whole numbers", "keys split",  # processors divide whole numbers one at a time
+}  # fmt: skip
+BY_DAY = {"where", "reduce", "table", "own array", "solved", "keys chosen"}
+
+
+@pytest.mark.skipif(not compile.compiler() or "g++" not in compile.compiler()[0], reason="asks g++ what it did")
+@pytest.mark.parametrize("name", each(list(PROGRAMS), set(PROGRAMS) - BY_DAY))
+def test_loops_over_particles_are_vectorized(name, monkeypatch, tmp_path):
+    sources = []
+    monkeypatch.setattr(stage, "begun", sources.append)
+    stage.movement(lambda *lanes: list(PROGRAMS[name](*lanes)), [jnp.asarray(X)])
+    path = tmp_path / "kernel.cpp"
+    path.write_text(sources[0])
+    words = [*compile.compiler(), *compile.FLAGS, *compile._special(), f"-I{compile.HEADERS}", f"-I{jax.ffi.include_dir()}"]
+    trial = [*words, "-fopt-info-vec", "-o", str(tmp_path / "kernel.so"), str(path)]
+    done = subprocess.run(trial, capture_output=True, text=True, check=True)
+    loop = sources[0][: sources[0].index("pragma omp simd")].count("\n") + 1
+    assert any(f"{path}:{line}:" in done.stderr for line in (loop, loop + 1, loop + 2)) == (name not in SCALAR)
 
 
 @needs_compiler

@@ -50,14 +50,24 @@ def compiler() -> tuple[str, ...]:
 @functools.cache
 def _surroundings() -> bytes:
     """What decides the machine code besides the source: compiler, processor, headers."""
-    maker = subprocess.run([*_required(), "--version"], capture_output=True, timeout=SECONDS, check=False).stdout
-    texts = [*_required(), *FLAGS, *_wide(), platform.machine(), jax.__version__, version.__version__]
-    return b"\0".join([maker, processor(), *map(str.encode, texts), *(path.read_bytes() for path in sorted(HEADERS.glob("*.hpp")))])
+    texts = [*_required(), *FLAGS, *_special(), platform.machine(), jax.__version__, version.__version__]
+    return b"\0".join([_maker(), processor(), *map(str.encode, texts), *(path.read_bytes() for path in sorted(HEADERS.glob("*.hpp")))])
 
 
-def _wide() -> tuple[str, ...]:
-    """Compilers use half of the widest registers unless told otherwise."""
-    return ("-mprefer-vector-width=512",) if b"avx512f" in processor() else ()
+@functools.cache
+def _maker() -> bytes:
+    """Return what the compiler says of itself."""
+    return subprocess.run([*_required(), "--version"], capture_output=True, timeout=SECONDS, check=False).stdout
+
+
+def _special() -> tuple[str, ...]:
+    """Return what is asked of this compiler and for this processor.
+
+    Compilers use half of the widest registers unless told otherwise. GCC does not vectorize the branch that is left where it takes out of
+    another one what is worked out in both.
+    """
+    wide = ("-mprefer-vector-width=512",) if b"avx512f" in processor() else ()
+    return (*wide, "-fno-tree-pre") if b"Free Software Foundation" in _maker() else wide
 
 
 def _required() -> tuple[str, ...]:
@@ -130,7 +140,7 @@ def _built(source: str, kept: Path | None) -> ctypes.CDLL:
     with unfinished(Path(tempfile.mkdtemp(dir=kept.parent if kept else None))) as folder:
         text, made = folder / "kernel.cpp", folder / "kernel.so"
         text.write_text(source)
-        words = [*_required(), *FLAGS, *_wide(), f"-I{HEADERS}", f"-I{jax.ffi.include_dir()}", "-o", str(made), str(text), "-lm"]
+        words = [*_required(), *FLAGS, *_special(), f"-I{HEADERS}", f"-I{jax.ffi.include_dir()}", "-o", str(made), str(text), "-lm"]
         try:
             done = subprocess.run(words, capture_output=True, text=True, timeout=SECONDS, check=False)
         except (OSError, subprocess.TimeoutExpired) as reason:

@@ -9,20 +9,40 @@ from typing import Any
 import jax
 import numpy as np
 
-from motes.native.rules import Scalar, Untranslatable
+from motes.native.rules import Scalar, Scalars, Untranslatable
 
-KIND = "Key"
-"""C++ type of a key."""
+KIND = "key"
+"""A key is the names of its two words, `"v1, v2"`: loops that hold structures are not vectorized."""
 
 NUMBERED = "random_split"
 """The operation that gives each particle a key, where it gives as many as there are particles."""
 
 
-def numbered(words: np.ndarray) -> Scalar:
+Named = Callable[[str, str], Scalar]
+
+
+def numbered(named: Named, words: Scalars) -> Scalar:
     """Return the key of a particle, by its number, from the words of the shared key."""
     _check()
     first, second = words.flat
-    return Scalar(f"motes::child({{{first.text}, {second.text}}}, 0, (uint32_t)(first + i))", KIND)
+    return _child(named, f"{first.text}, {second.text}", "(uint32_t)(first + i)")
+
+
+def _child(named: Named, key: str, number: str) -> Scalar:
+    halves = (named("uint32_t", f"motes::threefry({{{key}}}, 0, {number}).{half}") for half in ("first", "second"))
+    return Scalar(", ".join(half.text for half in halves), KIND)
+
+
+def selected(named: Named, which: Scalars, *cases: Scalars) -> np.ndarray:
+    """Choose between keys."""
+    made = np.empty(cases[0].shape, object)
+    for index in np.ndindex(*made.shape):
+        names = [case[index].text.split(", ") for case in cases]
+        found, test = names[-1], which[index].text
+        for i, own in reversed(list(enumerate(names[:-1]))):
+            found = [named("uint32_t", f"{test} <= {i} ? {one} : {other}").text for one, other in zip(own, found, strict=True)]
+        made[index] = Scalar(", ".join(found), KIND)
+    return made
 
 
 def _check() -> None:
@@ -30,24 +50,24 @@ def _check() -> None:
         raise Untranslatable("keys of each particle's own with jax_threefry_partitionable off")
 
 
-def _children(named: Callable[[str, str], Scalar], params: dict[str, Any], keys: np.ndarray) -> np.ndarray:
-    return _each(keys, params["shape"], lambda key, k: named(KIND, f"motes::child({key.text}, 0, {k}u)"))
+def _children(named: Named, params: dict[str, Any], keys: Scalars) -> np.ndarray:
+    return _each(keys, params["shape"], lambda key, k: _child(named, key.text, f"{k}u"))
 
 
-def _bits(named: Callable[[str, str], Scalar], params: dict[str, Any], keys: np.ndarray) -> np.ndarray:
+def _bits(named: Named, params: dict[str, Any], keys: Scalars) -> np.ndarray:
     if params["bit_width"] != 32:
         raise Untranslatable(f"random words of {params['bit_width']} bits")
-    return _each(keys, params["shape"], lambda key, k: named("uint32_t", f"motes::word({key.text}, {k}u)"))
+    return _each(keys, params["shape"], lambda key, k: named("uint32_t", f"motes::word({{{key.text}}}, {k}u)"))
 
 
-def _folded(named: Callable[[str, str], Scalar], params: dict[str, Any], keys: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+def _folded(named: Named, params: dict[str, Any], keys: Scalars, numbers: Scalars) -> np.ndarray:
     made, numbers = np.empty(keys.shape, object), np.broadcast_to(numbers, keys.shape)
     for index in np.ndindex(*keys.shape):
-        made[index] = named(KIND, f"motes::child({keys[index].text}, 0, {numbers[index].text})")
+        made[index] = _child(named, keys[index].text, numbers[index].text)
     return made
 
 
-def _each(keys: np.ndarray, shape: tuple[int, ...], draw: Callable[[Scalar, int], Scalar]) -> np.ndarray:
+def _each(keys: Scalars, shape: tuple[int, ...], draw: Callable[[Scalar, int], Scalar]) -> np.ndarray:
     _check()
     made = np.empty((*keys.shape, *shape), object)
     for index in np.ndindex(*keys.shape):

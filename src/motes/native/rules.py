@@ -19,6 +19,10 @@ class Scalar(NamedTuple):
     kind: str
 
 
+Scalars = Any
+"""Array of `Scalar`, of which type checkers do not know what an element is."""
+
+
 class Untranslatable(Exception):
     """A traced program has no native form; the text says what stands in the way."""
 
@@ -64,7 +68,7 @@ FUNCTIONS = {
 
 FORMULAS = {
     "add": "{0} + {1}", "add_any": "{0} + {1}", "sub": "{0} - {1}", "mul": "{0} * {1}", "neg": "-{0}", "square": "{0} * {0}",
-    "max": "({0} > {1} || {0} != {0}) ? {0} : {1}", "min": "({0} < {1} || {0} != {0}) ? {0} : {1}",
+    "max": "(({0} > {1}) | ({0} != {0})) ? {0} : {1}", "min": "(({0} < {1}) | ({0} != {0})) ? {0} : {1}",
     "eq": "{0} == {1}", "ne": "{0} != {1}", "lt": "{0} < {1}", "le": "{0} <= {1}", "gt": "{0} > {1}", "ge": "{0} >= {1}",
     "and": "{0} & {1}", "or": "{0} | {1}", "xor": "{0} ^ {1}", "copy": "{0}", "stop_gradient": "{0}",
     "clamp": "{1} < {0} ? {0} : ({1} > {2} ? {2} : {1})",
@@ -125,6 +129,8 @@ def _conversion(before: str, after: str) -> tuple[str, str]:
         return "motes::to_int({0})", after
     if before == "float" and after == "uint32_t":
         raise Untranslatable("a float32 made an unsigned whole number")
+    if before == "bool" and after != "bool":  # g++ does not vectorize the conversion of a truth that was worked out
+        return f"{{0}} ? ({after})1 : ({after})0", after
     return ("{0} != 0" if after == "bool" else f"({after}){{0}}"), after
 
 

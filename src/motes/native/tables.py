@@ -73,7 +73,10 @@ class LookUp:
         if len(begins) > MOST_CHOICES:
             raise Untranslatable(f"more than {MOST_CHOICES} places of a particle's own array to choose from")
         chosen = [self._table[begin + offset].text for begin in begins]
-        return "".join(f"{first} == {begin} ? {text} : " for begin, text in zip(begins[:-1], chosen, strict=False)) + chosen[-1]
+        found = chosen[-1]
+        for begin, text in reversed(list(zip(begins[:-1], chosen, strict=False))):
+            found = self._named(self._kind, f"{first} == {begin} ? {text} : {found}")
+        return found
 
     def _begin(self, place: list[Scalar], base: int) -> tuple[str, str]:
         """Name the element where a window begins, kept inside the table, and whether it was inside before."""

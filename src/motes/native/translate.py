@@ -106,7 +106,7 @@ class Translator:
         if called(eqn) is not None and not (shared and has_own_mapping(eqn)):
             return walk(called(eqn), operands, self)
         if shared and eqn.primitive.name == keys.NUMBERED and eqn.params["shape"] == (1,):
-            return [_array([keys.numbered(self.scalars(jax.random.key_data(operands[0])))], (1,))]
+            return [_array([keys.numbered(self._named, self.scalars(jax.random.key_data(operands[0])))], (1,))]
         if shared:
             return _by_jax(eqn, operands)
         parts = control(eqn, operands)
@@ -164,6 +164,8 @@ class Translator:
         wide = np.broadcast_arrays(*operands)
         if not wide[0].size:
             return wide[0]
+        if name == "select_n" and wide[1].flat[0].kind == keys.KIND:
+            return keys.selected(self._named, *wide)
         found = formula(name, [operand.flat[0].kind for operand in operands], params)
         if found is None:
             raise Untranslatable(f"the operation {name}")

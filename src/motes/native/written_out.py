@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from motes.native.rules import Scalar, Untranslatable, formula, literal
+from motes.native.rules import Scalar, Scalars, Untranslatable, formula, literal
 
 LARGEST = 40
 """Rows of matrices and of what is sorted; beyond it a loop over particles is no better than JAX."""
@@ -124,7 +124,7 @@ def _place_of(comparison: str) -> Callable[..., list[np.ndarray]]:
             for i, element in enumerate(last[index][1:], 1):
                 text = f"{element.text} {comparison} {best.text}"
                 if element.kind == "float":
-                    text = f"{best.text} == {best.text} && ({text} || {element.text} != {element.text})"
+                    text = f"({best.text} == {best.text}) & (({text}) | ({element.text} != {element.text}))"
                 better = writer.named("bool", text)
                 best, place = writer.select(better, element, best), writer.select(better, writer.whole(i), place)
             made[index] = place
@@ -138,13 +138,13 @@ def _check_size(what: str, size: int) -> None:
         raise Untranslatable(f"{what} of {size} numbers")
 
 
-def _cholesky(writer: Writer, params: dict[str, Any], operand: np.ndarray) -> list[np.ndarray]:
+def _cholesky(writer: Writer, params: dict[str, Any], operand: Scalars) -> list[np.ndarray]:
     m = operand.shape[-1]
     _check_size("a Cholesky factor", m)
     made = np.empty(operand.shape, object)
     for index in np.ndindex(*operand.shape[:-2]):
         a = operand[index]
-        factor = _filled((m, m), writer.number(0.0))
+        factor: Scalars = _filled((m, m), writer.number(0.0))
         good = Scalar("true", "bool")
         for j in range(m):
             for i in range(j, m):

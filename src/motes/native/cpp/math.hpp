@@ -84,15 +84,15 @@ static inline __attribute__((always_inline)) float log_of(float x, float correct
 
 static inline __attribute__((always_inline)) float log(float x) {
   float value = log_of(x, 0.f);
-  return x == 0.f ? -INF : (x < 0.f ? NOT_A_NUMBER : (x == INF || x != x ? x : value));
+  return x == 0.f ? -INF : (x < 0.f ? NOT_A_NUMBER : ((x == INF) | (x != x) ? x : value));
 }
 
 static inline __attribute__((always_inline)) float log1p(float x) {
   float sum = 1.f + x;
   float lost = x >= 1.f ? 1.f - (sum - x) : x - (sum - 1.f);
   float value = log_of(sum, lost / sum);
-  float small = x > -1e-4f && x < 1e-4f ? fma(-0.5f * x, x, x) : value;
-  return sum == 0.f ? -INF : (sum < 0.f ? NOT_A_NUMBER : (x == INF || x != x ? x : small));
+  float small = (x > -1e-4f) & (x < 1e-4f) ? fma(-0.5f * x, x, x) : value;
+  return sum == 0.f ? -INF : (sum < 0.f ? NOT_A_NUMBER : ((x == INF) | (x != x) ? x : small));
 }
 
 struct Turned { float rest; int32_t quarter; };
@@ -149,7 +149,7 @@ static inline __attribute__((always_inline)) float atan2(float y, float x) {
   float angle = atan_core(ratio);
   angle = high > wide ? 1.57079637f - angle : angle;
   angle = bits<int32_t>(x) < 0 ? 3.14159274f - angle : angle;
-  angle = x != x || y != y ? NOT_A_NUMBER : angle;
+  angle = (x != x) | (y != y) ? NOT_A_NUMBER : angle;
   return __builtin_copysignf(angle, y);
 }
 
@@ -209,21 +209,21 @@ static inline __attribute__((always_inline)) int32_t rank(float x) {
 // as XLA divides: by zero gives -1 (all bits set), and the lowest number by -1 itself
 template <class Whole>
 static inline __attribute__((always_inline)) Whole quotient(Whole a, Whole b) {
-  bool negated = (Whole)(b + 1) == 0 && (Whole)-1 < 0;
-  Whole by = b == 0 || negated ? (Whole)1 : b;
+  bool negated = ((Whole)(b + 1) == 0) & ((Whole)-1 < 0);
+  Whole by = (b == 0) | negated ? (Whole)1 : b;
   return b == 0 ? (Whole)-1 : negated ? (Whole)(0u - (uint32_t)a) : (Whole)(a / by);
 }
 
 // as XLA: by zero gives the dividend
 template <class Whole>
 static inline __attribute__((always_inline)) Whole left_over(Whole a, Whole b) {
-  bool negated = (Whole)(b + 1) == 0 && (Whole)-1 < 0;
-  Whole by = b == 0 || negated ? (Whole)1 : b;
+  bool negated = ((Whole)(b + 1) == 0) & ((Whole)-1 < 0);
+  Whole by = (b == 0) | negated ? (Whole)1 : b;
   return b == 0 ? a : negated ? (Whole)0 : (Whole)(a % by);
 }
 
 static inline __attribute__((always_inline)) int32_t to_int(float x) {
-  float inside = x >= 2147483648.f || x < -2147483648.f || x != x ? 0.f : x;
+  float inside = (x >= 2147483648.f) | (x < -2147483648.f) | (x != x) ? 0.f : x;
   return x >= 2147483648.f ? INT32_MAX : (x < -2147483648.f ? INT32_MIN : (int32_t)inside);
 }
 
@@ -231,9 +231,9 @@ static inline __attribute__((always_inline)) int32_t to_int(float x) {
 static inline __attribute__((always_inline)) float remainder(float x, float y) {
   double size = __builtin_fabs((double)y);
   double rest = (double)x - __builtin_trunc((double)x / size) * size;
-  rest = rest < 0 && x > 0.f ? rest + size : (rest > 0 && x < 0.f ? rest - size : rest);
+  rest = (rest < 0) & (x > 0.f) ? rest + size : ((rest > 0) & (x < 0.f) ? rest - size : rest);
   rest = rest >= size ? rest - size : (rest <= -size ? rest + size : rest);
-  return size == (double)INF && __builtin_fabsf(x) < INF ? x : __builtin_copysignf((float)rest, x);
+  return (size == (double)INF) & (__builtin_fabsf(x) < INF) ? x : __builtin_copysignf((float)rest, x);
 }
 
 // inverse error function over its argument, for w = -log(1 - x^2) and w - 2.5: the two pieces of Giles (2010)

@@ -27,12 +27,7 @@ static inline __attribute__((always_inline)) Words threefry(Key key, uint32_t a,
   return {a, b};
 }
 
-// of a key of one particle's own: a child, and a random word
-static inline __attribute__((always_inline)) Key child(Key key, uint32_t high, uint32_t low) {
-  Words words = threefry(key, high, low);
-  return {words.first, words.second};
-}
-
+// a random word from a key of one particle's own
 static inline __attribute__((always_inline)) uint32_t word(Key key, uint32_t number) {
   Words words = threefry(key, 0, number);
   return words.first ^ words.second;
