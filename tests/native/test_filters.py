@@ -1,6 +1,7 @@
 """Filters on the native engine: the results of JAX, the same bits in every way of running, and a quiet way out where it cannot run."""
 
 import os
+import re
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -174,7 +175,9 @@ def test_what_runs_is_explained():
     assert stages["move"] == "native kernels around JAX: StopGradient resampling"
     looping = mo.AdditiveGaussian(lambda x, u, t: jax.lax.while_loop(lambda z: z[0] < 0, lambda z: z + 1, x)[:1], [[1.0]])
     stages = dict(mo.explain(mo.ParticleFilter(n=1000), mo.StateSpaceModel(INITIAL, mo.LinearGaussian(A, Q), looping)).stages)
-    assert "while" in stages["weigh"]
+    line = test_what_runs_is_explained.__code__.co_firstlineno
+    assert re.search(r"while: .* \(test_filters.py, line (\d+)\)$", stages["weigh"]), stages["weigh"]
+    assert line < int(re.search(r"line (\d+)", stages["weigh"]).group(1)) < line + 20
     assert "fewer than" in str(mo.explain(mo.ParticleFilter(n=10), RADAR))
     assert "no stage" in str(mo.explain(mo.KalmanFilter(), MODELS["measured and hidden"]))
 

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from motes.native.keys import NUMBERED
-from motes.native.rules import MOVES, Untranslatable
+from motes.native.rules import MOVES, Untranslatable, located
 from motes.native.translate import block_of
 from motes.native.written_out import WRITTEN_OUT, own_axes
 from motes.tracing.internals import Branches, Scan, Solve, called, control, has_own_mapping, without_constants
@@ -35,6 +35,7 @@ class _Apart:
     def constant(self, variable: Any, value: Any) -> list[int]:
         return _axes(variable)
 
+    @located
     def step(self, eqn: Any, before: list[list[int]]) -> list[list[int]]:
         after = [_axes(variable) for variable in eqn.outvars]
         if block_of(eqn):

@@ -1,10 +1,13 @@
 """What each traced operation is in C++, for one particle: elementwise ones are a formula, data movement is found by moving numbers."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import wraps
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
 import numpy as np
+
+from motes.tracing.internals import written_at
 
 
 class Scalar(NamedTuple):
@@ -24,7 +27,36 @@ Scalars = Any
 
 
 class Untranslatable(Exception):
-    """A traced program has no native form; the text says what stands in the way."""
+    """A traced program has no native form; the text says what stands in the way, and where the user wrote it.
+
+    Attributes:
+        equation: the innermost one that cannot be translated.
+    """
+
+    equation: Any = None
+
+    def __str__(self) -> str:
+        """Say what and where."""
+        place = "" if self.equation is None else written_at(self.equation)
+        return super().__str__() + (f" ({place})" if place else "")
+
+
+S = TypeVar("S", bound=Callable[..., Any])
+
+
+def located(step: S) -> S:
+    """Have a rule for equations tell which one it could not take."""
+
+    @wraps(step)
+    def told(rules: Any, equation: Any, operands: list[Any]) -> Any:
+        try:
+            return step(rules, equation, operands)
+        except Untranslatable as reason:
+            if reason.equation is None:
+                reason.equation = equation
+            raise
+
+    return cast(S, told)
 
 
 KINDS = {np.dtype(np.float32): "float", np.dtype(np.int32): "int32_t", np.dtype(np.uint32): "uint32_t", np.dtype(bool): "bool"}

@@ -15,7 +15,7 @@ from jax.core import Tracer
 
 from motes.core import random
 from motes.native import keys
-from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal
+from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal, located
 from motes.native.tables import LookUp
 from motes.native.written_out import WRITTEN_OUT, Writer
 from motes.tracing import known
@@ -91,6 +91,7 @@ class Translator:
         """Return an array that the program holds."""
         return value
 
+    @located
     def step(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
         """Translate an equation."""
         results = self._equation(eqn, operands)

@@ -6,6 +6,7 @@ operations are called (`sin`, `dot_general`) is the vocabulary of traced program
 """
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from jax.interpreters import batching, mlir
 
 __all__ = ["Literal", "Primitive"]
 
+PACKAGE = Path(__file__).parents[1]
 PROGRAMS = (ClosedJaxpr, Jaxpr)
 """Classes of traced programs; from JAX 0.11 on they are one."""
 
@@ -186,6 +188,16 @@ def _innermost(wrapped: Any) -> Any:
         functions += [value for value in held if isinstance(value, FunctionType) and value not in functions]
         found += [value for value in held if isinstance(value, type(wrapped))]
     return found[0].f if len(found) == 1 and len(found[0].transforms) == 1 else None
+
+
+def written_at(equation: Any) -> str:
+    """Return the file and line of the user's where an equation comes from; empty where it is none of the user's."""
+    from jax._src import source_info_util
+
+    innermost = next(iter(source_info_util.user_frames(equation.source_info.traceback)), None)
+    if innermost is None or Path(innermost.file_name).is_relative_to(PACKAGE):
+        return ""
+    return f"{Path(innermost.file_name).name}, line {innermost.start_line}"
 
 
 def before_compiling(value: Any, action: Callable[..., None], *arguments: Any) -> Any:
