@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass, field
 
-OURS = ("motes (JAX)", "motes (native)")
+OURS = ("motes", "motes (JAX)", "motes (native)")
+"""Motes as it comes, which chooses native kernels or JAX by itself, and each of the two alone."""
 
 
 @dataclass(frozen=True)
@@ -20,10 +21,11 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 
 
 ENGINES = {
+    "motes": Engine("ours", "motes", {"engine": "auto"}),
     "motes (JAX)": Engine("ours", "motes", {"engine": "jax"}),
     "motes (native)": Engine("ours", "motes", {"engine": "native"}),
+    "motes, mean and covariance": Engine("ours", "motes", {"engine": "auto", "keep": "moments"}),
     "motes (JAX), mean and covariance": Engine("ours", "motes", {"engine": "jax", "keep": "moments"}),
-    "motes (native), mean and covariance": Engine("ours", "motes", {"engine": "native", "keep": "moments"}),
     "particles": Engine("particles_peer", "particles", environment=ONE_THREAD),
     "particles (BLAS threads as set up)": Engine("particles_peer", "particles"),
     "smcx": Engine("smcx_peer", "smcx"),
@@ -62,7 +64,18 @@ def bootstrap(quick):
     sizes = (2_000,) if quick else (2_000, 20_000, 100_000, 200_000, 1_000_000)
     rows = [(model, n) for model in ("line", "radar") for n in sizes if (model, n) != ("radar", 100_000)]
     # the slowest of all would take as long at a million as everything else together
-    return [Row("bootstrap", model, n, 100, PARTICLE if n < 1_000_000 else (*PARTICLE[:8], PARTICLE[-1])) for model, n in rows]
+    quickest = tuple(name for name in PARTICLE if name not in ("stonesoup", "filterpy", "dynamax"))
+    return [Row("bootstrap", model, n, 100, PARTICLE if n < 1_000_000 else quickest) for model, n in rows]
+
+
+def models(quick):
+    """Models as users have them: substeps by Runge and Kutta and a table; terrain, 9 and 15 states."""
+    n = 2_000 if quick else 100_000
+    rows = [Row("bootstrap", "pendulums", n, 50, OURS)]
+    for states in (9, 15):
+        for filter, n in (("marginalized", 15_000), ("kernel", 2_500)):
+            rows.append(Row("terrain", f"terrain, {states} states, {filter}", n, 400, OURS[:2], more={"filter": filter, "states": states}))
+    return rows[: 2 if quick else None]
 
 
 def marginalized(quick):
@@ -82,17 +95,18 @@ def kalman(quick):
     long, short = (2_000, 500) if quick else (100_000, 10_000)
     slow = ("filterpy", "particles", "stonesoup")
     return [
-        Row("kalman", "track", 1, long, (OURS[0], "smcx", "cuthbert", "dynamax")),
-        Row("kalman", "track", 1, short, (OURS[0], *slow)),
+        Row("kalman", "track", 1, long, ("motes", "smcx", "cuthbert", "dynamax")),
+        Row("kalman", "track", 1, short, ("motes", *slow)),
     ]
 
 
 def scaling(quick):
     """Cost against the number of particles, and of steps."""
-    engines = (*OURS, "particles")
+    own = OURS[1:]
+    engines = (*own, "particles")
     sizes = (10_000, 30_000) if quick else (10_000, 30_000, 100_000, 300_000, 1_000_000)
     lengths = (10, 30) if quick else (100, 1_000, 10_000)
-    return [Row("bootstrap", "radar", n, 100, engines) for n in sizes] + [Row("bootstrap", "radar", 20_000, t, OURS) for t in lengths]
+    return [Row("bootstrap", "radar", n, 100, engines) for n in sizes] + [Row("bootstrap", "circling", 20_000, t, own) for t in lengths]
 
 
 def blocks(quick):
@@ -109,4 +123,4 @@ def start(quick):
     return [Row("bootstrap", "radar", 2_000, 100, (*OURS, "particles", "smcx", "cuthbert"))]
 
 
-CASES = {case.__name__: case for case in (bootstrap, marginalized, many, kalman, scaling, start, blocks)}
+CASES = {case.__name__: case for case in (bootstrap, models, marginalized, many, kalman, scaling, start, blocks)}

@@ -1,4 +1,4 @@
-"""Draws the cost of the bootstrap filters against the number of particles."""
+"""Draws the cost of the bootstrap filters: against the number of particles, and as bars for one."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 from report import measured, typical
 
 COLORS = {
-    "motes (native)": "#0b3d66",
+    "motes": "#0b3d66",
     "motes (JAX)": "#2f86cf",
     "C++ yardstick": "#999999",
     "particles": "#c8553d",
@@ -17,7 +17,7 @@ COLORS = {
     "cuthbert": "#7a9e4f",
     "stonesoup": "#8d6a9f",
 }
-OWN = ("motes (native)", "motes (JAX)")
+OWN = ("motes", "motes (JAX)")
 PANELS = {"line": "1-D linear Gaussian", "radar": "radar, six states"}
 
 
@@ -42,5 +42,24 @@ def draw(results: dict, path: Path) -> None:
         panel.grid(axis="y", color="#eeeeee")
         panel.set_xlim(right=panel.get_xlim()[1] * 8)
     panels[0].set_ylabel("ns per particle and step")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def bars(results: dict, path: Path, n: int = 200_000) -> None:
+    """Draw the cost of the radar filter with n particles as bars, and write the picture."""
+    costs = {
+        record["engine"]: typical(record)
+        for record in measured(results["records"])
+        if (record["case"], record["model"], record["n"]) == ("bootstrap", "radar", n) and record["engine"] in COLORS
+    }
+    names = sorted(costs, key=costs.get)
+    figure, panel = plt.subplots(figsize=(7, 0.5 + 0.36 * len(names)), layout="constrained")
+    drawn = panel.barh(names, [costs[name] for name in names], color=[COLORS[name] for name in names], height=0.7)
+    panel.bar_label(drawn, [f"{costs[name]:.3g}" for name in names], padding=4, fontsize=9)
+    panel.invert_yaxis()
+    panel.set(xlabel=f"ns per particle and step: radar, six states, {n:,} particles")
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.tick_params(left=False)
     figure.savefig(path, dpi=150)
     plt.close(figure)

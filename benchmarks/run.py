@@ -58,7 +58,7 @@ def machine():
 def write_task(folder, row):
     """Put a task with its measurements into a file, and return its path."""
     path = folder / "task.json"
-    ys = [] if row.kind == "block" else measurements(row.model, row.steps).tolist()
+    ys = [] if row.kind in ("block", "terrain") else measurements(row.model, row.steps).tolist()
     path.write_text(json.dumps({"kind": row.kind, "model": row.model, "n": row.n, "runs": row.runs, "ys": ys, **row.more}))
     return path
 
@@ -100,7 +100,7 @@ def measure_starts(rows, python, folder, quick):
         for name in row.engines:
             path = str(folder / f"cache {turn} {name}")
             held = {"JAX_COMPILATION_CACHE_DIR": path, "XDG_CACHE_HOME": path, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-            for pick, model, settings in ((0, "empty cache", held), (0, "filled cache", held), (1, "model built anew", {})):
+            for pick, model, settings in ((0, "empty cache", held), (0, "filled cache", held), (1, "model built anew", {"MOTES_CACHE": "off"})):
                 reply = start_up(python[name]["python"], ENGINES[name], task, settings)
                 progress(f"    {name}, {model}: {reply}")
                 if isinstance(reply, str):
@@ -140,6 +140,7 @@ def main():
             path.write_text(json.dumps(results, indent=1))
     (out / "RESULTS.md").write_text(text(results))
     figure.draw(results, out / "results.png")
+    figure.bars(results, out / "bars.png")
     progress(f"wrote {out}/RESULTS.md")
 
 

@@ -1,9 +1,9 @@
-"""Motes itself: float32, JAX or native engine, keeping nothing of each step but evidence and ESS, or mean and covariance too."""
+"""Motes itself: float32, as it comes or on one engine, keeping nothing of each step but evidence and ESS, or mean and covariance too."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from problems import INTERVAL, LINE, RADAR, TRACK
+from problems import INTERVAL, LINE, PENDULUMS, RADAR, TRACK, looked_up, substepped, swing
 
 import motes as mo
 from peers import Unavailable, offers
@@ -23,6 +23,24 @@ def track_model():
     return mo.StateSpaceModel(initial, mo.LinearGaussian(TRACK["A"], np.diag(TRACK["Q"])), sensor)
 
 
+def pendulum_model():
+    """Give the pendulums, with substeps in a loop and a table that every particle looks up at its own place."""
+    table = jnp.asarray(PENDULUMS["table"], jnp.float32)
+
+    def slope(x):
+        return jnp.array([x[2], x[3], *swing(x[:2], x[2:], jnp.sin, jnp.cos)])
+
+    def move(x, u, t):
+        return jax.lax.fori_loop(0, PENDULUMS["substeps"], lambda i, x: substepped(x, slope), x)
+
+    def sensor(x, u, t):
+        return jnp.array([looked_up(x, table, jnp.int32)])
+
+    dynamics = mo.AdditiveGaussian(move, np.diag(PENDULUMS["Q"]))
+    initial = mo.Gaussian(PENDULUMS["mean"], np.diag(PENDULUMS["P"]))
+    return mo.StateSpaceModel(initial, dynamics, mo.AdditiveGaussian(sensor, np.diag(PENDULUMS["R"])))
+
+
 def radar_model(turning=False):
     """Give the radar model; with `turning` every matrix of its Kalman part differs from particle to particle."""
 
@@ -40,24 +58,41 @@ def radar_model(turning=False):
     return mo.StateSpaceModel(initial, dynamics, mo.AdditiveGaussian(sensor, np.diag(RADAR["R"]), angles=(1,)), names)
 
 
-MODELS = {"line": line_model, "track": track_model, "radar": radar_model, "turning": lambda: radar_model(turning=True)}
+MODELS = {
+    "line": line_model, "track": track_model, "radar": radar_model, "turning": lambda: radar_model(turning=True),
+    "circling": radar_model, "pendulums": pendulum_model,
+}  # fmt: skip
+
+
+def flight(task):
+    """Give filter, model, measurements and inputs of the terrain demo."""
+    from motes.applications.terrain.job import load
+    from motes.applications.terrain.settings import Inertial, Settings
+
+    job = load(Settings(inertial=Inertial(states=task["states"])), 0)
+    of = {"marginalized": mo.MarginalizedParticleFilter, "kernel": mo.KalmanParticleKernelFilter}[task["filter"]]
+    return of(n=task["n"], on_collapse="predict"), job.model, job.ys, job.inputs
 
 
 def prepare(task, engine="jax", keep="nothing"):
     """Prepare a run; the model is built anew, from fresh functions. A run that another engine took over is refused."""
-    offers(task, ("bootstrap", "many", "marginalized", "kalman"))
-    model, ys, keep = MODELS[task["model"]](), np.asarray(task["ys"], np.float32), getattr(mo.keep, keep)
+    offers(task, ("bootstrap", "many", "marginalized", "kalman", "terrain"))
     kind, often = task["kind"], {"policy": mo.resampling.Always(), "on_collapse": "predict"}
+    inputs, keep = None, getattr(mo.keep, keep)
+    if kind == "terrain":
+        filter, model, ys, inputs = flight(task)
+    else:
+        model, ys = MODELS[task["model"]](), np.asarray(task["ys"], np.float32)
     if kind == "kalman":
         filter = mo.KalmanFilter()
     elif kind == "marginalized":
         filter = mo.MarginalizedParticleFilter(n=task["n"], **often)
-    else:
+    elif kind != "terrain":
         filter = mo.ParticleFilter(n=task["n"], **often)
 
     def log_likelihood(key):
-        history = mo.run(key, filter, model, ys, keep=keep)
-        if engine not in history.engine:
+        history = mo.run(key, filter, model, ys, inputs, keep=keep)
+        if engine != "auto" and engine not in history.engine:
             raise Unavailable(f"ran as {history.engine}")
         return history.log_likelihood
 
