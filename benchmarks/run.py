@@ -100,7 +100,8 @@ def measure_starts(rows, python, folder, quick):
         for name in row.engines:
             path = str(folder / f"cache {turn} {name}")
             held = {"JAX_COMPILATION_CACHE_DIR": path, "XDG_CACHE_HOME": path, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-            for pick, model, settings in ((0, "empty cache", held), (0, "filled cache", held), (1, "model built anew", {"MOTES_CACHE": "off"})):
+            tries = ((0, "empty cache", held), (0, "filled cache", held), (1, "model built anew", {"MOTES_CACHE": "off"}))
+            for pick, model, settings in tries:
                 reply = start_up(python[name]["python"], ENGINES[name], task, settings)
                 progress(f"    {name}, {model}: {reply}")
                 if isinstance(reply, str):
