@@ -188,8 +188,8 @@ def _whole_power(power: int) -> str:
 
 
 MOVES: dict[str, Callable[[int], bool]] = {
-    **dict.fromkeys(("reshape", "broadcast_in_dim", "squeeze", "transpose", "rev", "slice", "concatenate", "stack", "pad",
-                     "split"), lambda i: False),
+    **dict.fromkeys(("reshape", "broadcast_in_dim", "squeeze", "transpose", "rev", "slice", "concatenate", "stack",
+                     "unstack", "pad", "split"), lambda i: False),
     "gather": lambda i: i == 1,
     "scatter": lambda i: i == 1,
     "dynamic_slice": lambda i: i >= 1,
