@@ -8,7 +8,8 @@ import pytest
 from motes.native import blocks
 from motes.native.stage import call_move, movement
 
-needs_compiler = pytest.mark.skipif(bool(blocks.standing()), reason=f"native engine: {blocks.standing()}")
+AGAINST = blocks.standing(tried=True)
+needs_compiler = pytest.mark.skipif(bool(AGAINST), reason=f"no native kernels on this machine: {AGAINST}")
 
 
 def natively(function, *leaves):

@@ -41,7 +41,7 @@ def report() -> Iterator[tuple[str, str]]:
         found = kept.private_folder(name)
         yield f"{kind} code", str(found) if found else f"not kept: {kept.why_not(name)}"
     yield "engine", chosen()
-    yield "native engine", blocks.tried() or f"ready, compiled by {' '.join(compile.compiler())}"
+    yield "native engine", blocks.standing(tried=True) or f"ready, compiled by {' '.join(compile.compiler())}"
     for package, extra in sorted(packages().items()):
         yield package, _version(package) or f"not installed (pip install 'motes[{extra}]')"
 

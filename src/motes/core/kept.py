@@ -33,7 +33,7 @@ def private_folder(name: str) -> Path | None:
 
     What lies there is executed, so a folder that others can write to is not used.
     """
-    if os.environ.get(SWITCH) == "off":
+    if _is_off():
         return None
     try:
         folder = place(name)
@@ -51,7 +51,11 @@ def private_folder(name: str) -> Path | None:
 
 def why_not(name: str) -> str:
     """Say why nothing of one kind is kept, where there is no folder for it."""
-    return f"{SWITCH}=off" if os.environ.get(SWITCH) == "off" else f"{place(name)} cannot be used"
+    return f"{SWITCH}=off" if _is_off() else f"{place(name)} cannot be used"
+
+
+def _is_off() -> bool:
+    return os.environ.get(SWITCH) == "off"
 
 
 def prune(folder: Path, spared: Path | None = None) -> None:

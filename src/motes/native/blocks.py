@@ -26,26 +26,21 @@ MOST_ROWS = 32
 """States that the kernel of moments has room for."""
 
 
-def standing() -> str:
-    """Why native kernels cannot be used here; empty when nothing speaks against them so far: the compiler may still be at work."""
+def standing(tried: bool = False) -> str:
+    """Why native kernels cannot be used here; empty when they can, or when nothing speaks against them so far.
+
+    Args:
+        tried: whether to wait for the compiler, which may still be at work.
+    """
     if jax.default_backend() != "cpu":
         return f"the device is a {jax.default_backend()}"
     try:
-        begun(_without_model())
+        mark = begun(_without_model())
+        if tried:
+            finished(mark)
     except CompileError as reason:
         return str(reason)
     return ""
-
-
-def tried() -> str:
-    """Why native kernels cannot be used here; empty when they can: they have been compiled."""
-    found = standing()
-    if not found:
-        try:
-            finished(begun(_without_model()))
-        except CompileError as reason:
-            return str(reason)
-    return found
 
 
 @cache
@@ -62,11 +57,12 @@ def usable(n: int, *arrays: jax.Array) -> bool:
     """Tell whether the engine that is chosen has native kernels work on arrays of n particles such as these, and says so."""
     if engine.chosen() == "jax" or n < fewest() or any(array.dtype != jnp.float32 for array in arrays):
         return False
-    if standing():
-        report.note_absence(standing())
+    against = standing()
+    if against:
+        report.note_absence(against)
     else:
         report.note_kernel()
-    return not standing()
+    return not against
 
 
 def _call(symbol: str, results: Any, *operands: jax.Array) -> Any:

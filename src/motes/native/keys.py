@@ -9,16 +9,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from motes.native.rules import Scalar, Scalars, Untranslatable
+from motes.native.rules import Named, Scalar, Scalars, Untranslatable
 
 KIND = "key"
 """A key is the names of its two words, `"v1, v2"`: loops that hold structures are not vectorized."""
 
 NUMBERED = "random_split"
 """The operation that gives each particle a key, where it gives as many as there are particles."""
-
-
-Named = Callable[[str, str], Scalar]
 
 
 def numbered(named: Named, words: Scalars) -> Scalar:

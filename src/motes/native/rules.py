@@ -25,6 +25,9 @@ class Scalar(NamedTuple):
 Scalars = Any
 """Array of `Scalar`, of which type checkers do not know what an element is."""
 
+Named = Callable[[str, str], Scalar]
+"""Gives an expression of a type a name: `named("float", "x0 + x1")`."""
+
 
 class Untranslatable(Exception):
     """A traced program has no native form; the text says what stands in the way, and where the user wrote it.

@@ -1,13 +1,13 @@
 """Tables looked up by the particle: arrays that all share, such as a map, or of its own, read at places that each works out for itself."""
 
 import itertools
-from collections.abc import Callable
+import math
 from typing import Any
 
 import numpy as np
 from jax.lax import GatherScatterMode
 
-from motes.native.rules import Scalar, Untranslatable, kind_of, literal
+from motes.native.rules import Named, Scalar, Untranslatable, kind_of, literal
 
 LARGEST = 1 << 31
 """Elements of a table: places are 32-bit numbers."""
@@ -25,7 +25,7 @@ class LookUp:
         named: gives a formula of a type a name.
     """
 
-    def __init__(self, equation: Any, table: str | np.ndarray, named: Callable[[str, str], Scalar]):
+    def __init__(self, equation: Any, table: str | np.ndarray, named: Named):
         """Refuse what is too large."""
         params, shape = equation.params, equation.invars[0].aval.shape
         self._numbers, self._sizes = params["dimension_numbers"], params["slice_sizes"]
@@ -35,6 +35,7 @@ class LookUp:
         self._named = lambda kind, text: named(kind, text).text
         self._kind = kind_of(equation.invars[0].aval.dtype)
         self._strides = [int(np.prod(shape[d + 1 :], dtype=np.int64)) for d in range(len(shape))]
+        self._begins = () if isinstance(table, str) else self._choices()
         fills = GatherScatterMode.from_any(params["mode"]) == GatherScatterMode.FILL_OR_DROP
         self._fill = self._filling(params["fill_value"], equation.invars[0].aval.dtype) if fills else None
 
@@ -68,15 +69,20 @@ class LookUp:
         if isinstance(self._table, str):
             text = f"{self._table}[{first} + {offset}]"
             return text if self._kind != "bool" else f"{text} != 0"
-        places = itertools.product(*(range(self._shape[d] - self._sizes[d] + 1) for d in self._numbers.start_index_map))
-        begins = [base + sum(p * self._strides[d] for p, d in zip(place, self._numbers.start_index_map, strict=True)) for place in places]
-        if len(begins) > MOST_CHOICES:
-            raise Untranslatable(f"more than {MOST_CHOICES} places of a particle's own array to choose from")
+        begins = [base + begin for begin in self._begins]
         chosen = [self._table[begin + offset].text for begin in begins]
         found = chosen[-1]
         for begin, text in reversed(list(zip(begins[:-1], chosen, strict=False))):
             found = self._named(self._kind, f"{first} == {begin} ? {text} : {found}")
         return found
+
+    def _choices(self) -> list[int]:
+        """Return where a window into the particle's own array may begin, beside the place of its batch."""
+        counts = {d: self._shape[d] - self._sizes[d] + 1 for d in self._numbers.start_index_map}
+        if math.prod(counts.values()) > MOST_CHOICES:
+            raise Untranslatable(f"more than {MOST_CHOICES} places of a particle's own array to choose from")
+        starts = ([place * self._strides[d] for place in range(count)] for d, count in counts.items())
+        return [sum(each) for each in itertools.product(*starts)]
 
     def _begin(self, place: list[Scalar], base: int) -> tuple[str, str]:
         """Name the element where a window begins, kept inside the table, and whether it was inside before."""

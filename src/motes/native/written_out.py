@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from motes.native.rules import Scalar, Scalars, Untranslatable, formula, literal
+from motes.native.rules import Named, Scalar, Scalars, Untranslatable, formula, literal
 
 LARGEST = 40
 """Rows of matrices and of what is sorted; beyond it a loop over particles is no better than JAX."""
@@ -22,7 +22,7 @@ class Writer:
         named: gives a C++ expression of a type a name.
     """
 
-    def __init__(self, named: Callable[[str, str], Scalar]):
+    def __init__(self, named: Named):
         """Say how expressions are named."""
         self.named = named
 
