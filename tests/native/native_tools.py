@@ -14,21 +14,23 @@ needs_compiler = pytest.mark.skipif(bool(AGAINST), reason=f"no native kernels on
 
 def natively(function, *leaves):
     """Work a function of arrays `(..., n)` out by a native kernel, each particle its own ancestor."""
-    leaves = [jnp.asarray(leaf, jnp.float32) for leaf in leaves]
+    leaves = [jnp.asarray(leaf, float) for leaf in leaves]
     stage = movement(lambda *lanes: list(function(*lanes)), leaves)
     own = jnp.arange(leaves[0].shape[-1], dtype=jnp.int32)
     return [np.asarray(out) for out in call_move(stage, stage.shared, own, leaves)]
 
 
 def by_jax(function, *leaves):
-    return [np.asarray(out) for out in jax.jit(function)(*(jnp.asarray(leaf, jnp.float32) for leaf in leaves))]
+    return [np.asarray(out) for out in jax.jit(function)(*(jnp.asarray(leaf, float) for leaf in leaves))]
 
 
 def ulps(ours, exact):
-    """Distance in units in the last place of float32; NaN and infinities must agree."""
-    exact = np.asarray(exact, np.float64)
-    rounded = exact.astype(np.float32)
+    """Distance in units in the last place of our numbers, float32 or float64; NaN and infinities must agree."""
+    exact = np.asarray(exact, np.longdouble)
+    with np.errstate(over="ignore"):
+        rounded = exact.astype(ours.dtype)
     special = ~np.isfinite(rounded)
     assert np.array_equal(ours[special], rounded[special], equal_nan=True)
-    unit = np.spacing(np.maximum(np.abs(rounded[~special]), np.float32(1e-37))).astype(np.float64)
-    return np.abs(ours[~special].astype(np.float64) - exact[~special]) / unit
+    smallest = ours.dtype.type(10 * np.finfo(ours.dtype).tiny)
+    unit = np.spacing(np.maximum(np.abs(rounded[~special]), smallest)).astype(np.longdouble)
+    return np.abs(ours[~special].astype(np.longdouble) - exact[~special]) / unit

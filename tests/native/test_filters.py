@@ -183,14 +183,6 @@ def test_what_runs_is_explained():
 
 
 @needs_compiler
-def test_float64_is_left_to_jax(double):
-    sensor = mo.AdditiveGaussian(bearing, 100 * np.eye(2))
-    model = mo.StateSpaceModel(mo.Gaussian([300.0, 300, 5, -5, 0, 0], np.eye(6)), mo.LinearGaussian(A, Q), sensor)
-    wanted, ours = runs(mo.ParticleFilter(n=500), model)
-    assert ours.engine == "jax" and np.array_equal(ours.mean, wanted.mean)
-    assert "float64" in str(mo.explain(mo.ParticleFilter(n=500), model))
-
-
 @needs_compiler
 def test_a_sampler_of_the_users_own():
     """With a key for each particle, split at will: the numbers of JAX."""

@@ -105,24 +105,22 @@ def normal(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Arra
 
     float32 reaches 5.4 standard deviations; float64 uses 64 random bits a number.
     """
-    if dtype == jnp.float64:
-        first, second = _words(jax.random.key_data(key), shape)
-        bits = jax.lax.bitcast_convert_type((first.astype(jnp.uint64) << 32) | second.astype(jnp.uint64), jnp.int64)
-        centered = jnp.clip(bits.astype(jnp.float64) * 2.0**-63, -1 + 2.0**-53, 1 - 2.0**-53)
-        return (np.sqrt(2) * jax.lax.erf_inv(centered)).reshape(shape)
     rows = int(np.prod(shape[:-1], dtype=np.int64))
-    return _normal_numbers(jax.random.key_data(key), rows, shape[-1]).reshape(shape).astype(dtype)
+    made = jnp.float64 if dtype == jnp.float64 else jnp.float32
+    return _normal_numbers(jax.random.key_data(key), rows, shape[-1], made).reshape(shape).astype(dtype)
 
 
-@partial(jax.jit, static_argnums=(1, 2))
-def _normal_numbers(key: jax.Array, rows: int, n: int) -> jax.Array:
+@partial(jax.jit, static_argnums=(1, 2, 3))
+def _normal_numbers(key: jax.Array, rows: int, n: int, dtype: Any) -> jax.Array:
     # a jitted function keeps its name in traced programs, where the native engine looks for it
-    return normal_block(key, rows, n)
+    return normal_block(key, rows, n, dtype)
 
 
 @engine.replaceable
-def normal_block(key: jax.Array, rows: int, n: int) -> jax.Array:
-    """Draw standard normal numbers `(rows, n)` in float32 from the data of a key, `(2,)`."""
+def normal_block(key: jax.Array, rows: int, n: int, dtype: Any) -> jax.Array:
+    """Draw standard normal numbers `(rows, n)` in float32 or float64 from the data of a key, `(2,)`."""
+    if dtype == jnp.float64:
+        return jax.lax.optimization_barrier(_to_normal_of_64(*_words(key, (rows, n))))
     pairs = (rows + 1) // 2
     if 0 < pairs <= _ROWS_APART:
         # row by row: compilers then share the rows out over threads, a quarter faster than one block
@@ -161,8 +159,32 @@ def _to_normal(bits: jax.Array) -> jax.Array:
 def _polynomial(coefficients: tuple[float, ...], x: jax.Array) -> jax.Array:
     value = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:
-        value = value * x + np.float32(coefficient)
+        value = value * x + x.dtype.type(coefficient)
     return value
+
+
+_LOG_64 = (0.1662237988556164, 0.18140156550162828, 0.2222286313243771, 0.28571424130490974, 0.4000000001123118, 0.6666666666666207, 2.0)
+_ABOVE_64 = (6.552278792315236e-18, 8.971775296547198e-15, 1.1463073011495388e-12, 3.3466637848058696e-11, 1.0715689140725503e-09,
+             2.3186790497885494e-08, 4.092950831955036e-07, 5.918172496398085e-06, 6.922194356995133e-05, 0.0006511154704441467,
+             0.004914311812418407, 0.029358885509827348, 0.13290734025861248, 0.4437462229088739, 0.886226925452758)  # fmt: skip
+_BELOW_64 = (3.6503073201934257e-16, 1.278283353555561e-13, 7.145828276360274e-12, 1.7963081207581553e-10, 5.829580201029391e-09,
+             9.431982348568857e-08, 1.8027883874053928e-06, 2.0249651161433807e-05, 0.00024332523791208575, 0.0019008001466745822,
+             0.013173997886877988, 0.07439013946739667, 0.23891460560855823, 1.0)  # fmt: skip
+_BELOW_ONE_64 = 1 - 2.0**-53
+
+
+def _to_normal_of_64(first: jax.Array, second: jax.Array) -> jax.Array:
+    """Turn pairs of words into normal numbers in double precision: `_to_normal` with one fraction for the inverse error function."""
+    bits = (first.astype(jnp.uint64) << 32) | second.astype(jnp.uint64)
+    centered = jax.lax.bitcast_convert_type(bits, jnp.int64).astype(jnp.float64) * 2.0**-63
+    centered = jnp.clip(centered, -_BELOW_ONE_64, _BELOW_ONE_64)
+    sqrt_half = np.float64(np.sqrt(0.5)).view(np.int64)
+    shifted = jax.lax.bitcast_convert_type((1 - centered) * (1 + centered), jnp.int64) - sqrt_half
+    twos = (shifted >> 52).astype(jnp.float64)
+    rest = jax.lax.bitcast_convert_type((shifted & 0x000FFFFFFFFFFFFF) + sqrt_half, jnp.float64) - 1
+    s = rest / (2 + rest)
+    w = -np.log(2) * twos - s * _polynomial(_LOG_64, s * s)
+    return np.sqrt(2) * (_polynomial(_ABOVE_64, w) / _polynomial(_BELOW_64, w) * centered)
 
 
 def uniform(key: jax.Array, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:

@@ -13,6 +13,7 @@ from motes.core.record import replace
 from motes.laws import cloud
 from motes.native import report
 from motes.native.compile import HEADERS, begun, call_kernel, finished
+from motes.native.rules import kind_of
 from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
 from motes.resampling.schemes import Scheme, Systematic
 
@@ -21,6 +22,9 @@ FEWEST = 256
 
 ENOUGH = 1_000
 """From so many particles on kernels are used without being asked for: with fewer, what is gained does not make up for compiling them."""
+
+PRECISIONS = (jnp.float32, jnp.float64)
+"""Types of particles that kernels work on."""
 
 MOST_ROWS = 32
 """States that the kernel of moments has room for."""
@@ -35,7 +39,7 @@ def standing(tried: bool = False) -> str:
     if jax.default_backend() != "cpu":
         return f"the device is a {jax.default_backend()}"
     try:
-        mark = begun(_without_model())
+        mark = begun(_without_model(jnp.float32))
         if tried:
             finished(mark)
     except CompileError as reason:
@@ -44,8 +48,8 @@ def standing(tried: bool = False) -> str:
 
 
 @cache
-def _without_model() -> str:
-    return (HEADERS / "blocks.cpp").read_text()
+def _without_model(dtype: Any) -> str:
+    return f"#define MOTES_REAL {kind_of(dtype)}\n" + (HEADERS / "blocks.cpp").read_text()
 
 
 def fewest() -> int:
@@ -53,9 +57,9 @@ def fewest() -> int:
     return FEWEST if engine.chosen() == "native" else ENOUGH
 
 
-def usable(n: int, *arrays: jax.Array) -> bool:
-    """Tell whether the engine that is chosen has native kernels work on arrays of n particles such as these, and says so."""
-    if engine.chosen() == "jax" or n < fewest() or any(array.dtype != jnp.float32 for array in arrays):
+def usable(n: int, *dtypes: Any) -> bool:
+    """Tell whether the engine that is chosen has native kernels work on arrays of n particles of these types, and says so."""
+    if engine.chosen() == "jax" or n < fewest() or len(set(dtypes)) != 1 or dtypes[0] not in PRECISIONS:
         return False
     against = standing()
     if against:
@@ -65,8 +69,8 @@ def usable(n: int, *arrays: jax.Array) -> bool:
     return not against
 
 
-def _call(symbol: str, results: Any, *operands: jax.Array) -> Any:
-    return call_kernel(_without_model(), f"motes_{symbol}", results, *operands)
+def _call(symbol: str, dtype: Any, results: Any, *operands: jax.Array) -> Any:
+    return call_kernel(_without_model(dtype), f"motes_{symbol}", results, *operands)
 
 
 def differentiable(native: Callable[..., Any], pure: Callable[..., Any]) -> Callable[..., Any]:
@@ -76,37 +80,38 @@ def differentiable(native: Callable[..., Any], pure: Callable[..., Any]) -> Call
     return function
 
 
-def normal_block(key: jax.Array, rows: int, n: int) -> jax.Array | None:
+def normal_block(key: jax.Array, rows: int, n: int, dtype: Any) -> jax.Array | None:
     """See `random.normal_block`."""
-    if not rows or not usable(n):
+    if not rows or not usable(n, dtype):
         return None
-    return _call("normal_block", jax.ShapeDtypeStruct((rows, n), jnp.float32), key)
+    return _call("normal_block", dtype, jax.ShapeDtypeStruct((rows, n), dtype), key)
 
 
 def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """See `cloud.weighted_moments`."""
     size = sum(part.shape[0] for part in parts)
-    if not 0 < size <= MOST_ROWS or not usable(log_weights.shape[0], log_weights, *parts):
+    dtype = log_weights.dtype
+    if not 0 < size <= MOST_ROWS or not usable(log_weights.shape[0], dtype, *(part.dtype for part in parts)):
         return None
     full = [part for part in parts if part.shape[0]]
-    shapes = (jax.ShapeDtypeStruct((size,), jnp.float32), jax.ShapeDtypeStruct((size, size), jnp.float32))
-    native = partial(_call, "moments", shapes)
+    shapes = (jax.ShapeDtypeStruct((size,), dtype), jax.ShapeDtypeStruct((size, size), dtype))
+    native = partial(_call, "moments", dtype, shapes)
     return differentiable(lambda *given: tuple(native(*given)), engine.original(cloud.weighted_moments))(log_weights, *full)
 
 
 def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """Return ancestors `(n,)` and log weights `(n,)`, resampled where the policy asks for it; None for schemes and policies not known."""
     codes = {Always: 0, Never: 1, ESS: 2, Entropy: 3}
-    n = log_weights.shape[0]
-    if type(scheme) is not Systematic or type(policy) not in codes or not usable(n, log_weights):
+    n, dtype = log_weights.shape[0], log_weights.dtype
+    if type(scheme) is not Systematic or type(policy) not in codes or not usable(n, dtype):
         return None
     threshold = getattr(policy, "share", getattr(policy, "threshold", 0.0))
-    uniform = random.uniform(key, (), jnp.float32)
-    parameters = jnp.stack([uniform, jnp.asarray(threshold, jnp.float32), jnp.full((), codes[type(policy)], jnp.float32)])
-    shapes = (jax.ShapeDtypeStruct((n,), jnp.int32), jax.ShapeDtypeStruct((n,), jnp.float32))
+    uniform = random.uniform(key, (), dtype)
+    parameters = jnp.stack([uniform, jnp.asarray(threshold, dtype), jnp.full((), codes[type(policy)], dtype)])
+    shapes = (jax.ShapeDtypeStruct((n,), jnp.int32), jax.ShapeDtypeStruct((n,), dtype))
 
     def native(log_weights: jax.Array, parameters: jax.Array, policy: Policy) -> tuple[jax.Array, jax.Array]:
-        return tuple(_call("ancestors", shapes, log_weights, parameters))
+        return tuple(_call("ancestors", dtype, shapes, log_weights, parameters))
 
     def pure(log_weights: jax.Array, parameters: jax.Array, policy: Policy) -> tuple[jax.Array, jax.Array]:
         needed = policy.needed(log_weights)
@@ -125,13 +130,14 @@ def resampled(key: jax.Array, scheme: Scheme, policy: Policy, law: Any, log_scor
 
 def joint_weights(log_weights: jax.Array, log_likelihood: jax.Array, max_log_likelihood: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """See `logspace.joint_weights`."""
-    if not usable(log_weights.shape[0], log_weights, log_likelihood):
+    dtype = log_weights.dtype
+    if not usable(log_weights.shape[0], dtype, log_likelihood.dtype):
         return None
-    shapes = (jax.ShapeDtypeStruct(log_weights.shape, jnp.float32), jax.ShapeDtypeStruct((6,), jnp.float32))
-    max_log_likelihood = jnp.broadcast_to(max_log_likelihood, log_likelihood.shape).astype(jnp.float32)
+    shapes = (jax.ShapeDtypeStruct(log_weights.shape, dtype), jax.ShapeDtypeStruct((6,), dtype))
+    max_log_likelihood = jnp.broadcast_to(max_log_likelihood, log_likelihood.shape).astype(dtype)
 
     def native(log_weights: jax.Array, log_likelihood: jax.Array, max_log_likelihood: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return tuple(_call("weigh", shapes, log_likelihood, log_weights, max_log_likelihood))
+        return tuple(_call("weigh", dtype, shapes, log_likelihood, log_weights, max_log_likelihood))
 
     return differentiable(native, engine.original(logspace.joint_weights))(log_weights, log_likelihood, max_log_likelihood)
 

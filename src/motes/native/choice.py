@@ -10,8 +10,8 @@ def engine(name: str) -> AbstractContextManager[None]:
     """Choose the engine for the calls inside a `with` block: `with mo.engine("jax"): mo.run(...)`.
 
     Nothing need be chosen. Results of JAX and of the native kernels agree up to rounding; random numbers are the same. What native kernels
-    cannot do (no compiler, a function that cannot be translated, float64, an accelerator) is done by JAX; `mo.explain` says what runs and
-    why. The environment variable MOTES_ENGINE chooses for a whole process.
+    cannot do (no compiler, a function that cannot be translated, an accelerator) is done by JAX; `mo.explain` says what runs and why. The
+    environment variable MOTES_ENGINE chooses for a whole process.
 
     Args:
         name: "auto" (the default): C++ kernels, compiled for the model and the processor, where they can do the work and there are so

@@ -123,7 +123,7 @@ def _parts(stage: str, cloud: Any) -> Parts | None:
     """Take a cloud apart, where the native engine is to be used on it."""
     if engine.chosen() == "jax":
         return None
-    if cloud.log_weights.dtype != jnp.float32:
+    if cloud.log_weights.dtype not in blocks.PRECISIONS:
         return report.note(stage, report.JAX, f"particles of type {cloud.log_weights.dtype}")
     if cloud.log_weights.shape[0] < blocks.fewest():
         return report.note(stage, report.JAX, f"fewer than {blocks.fewest()} particles")

@@ -52,15 +52,17 @@ def _children(named: Named, params: dict[str, Any], keys: Scalars) -> np.ndarray
 
 
 def _bits(named: Named, params: dict[str, Any], keys: Scalars) -> np.ndarray:
-    if params["bit_width"] != 32:
-        raise Untranslatable(f"random words of {params['bit_width']} bits")
-    return _each(keys, params["shape"], lambda key, k: named("uint32_t", f"motes::word({{{key.text}}}, {k}u)"))
+    width = params["bit_width"]
+    if width not in (32, 64):
+        raise Untranslatable(f"random words of {width} bits")
+    word = "motes::word" if width == 32 else "motes::word_of_64"
+    return _each(keys, params["shape"], lambda key, k: named(f"uint{width}_t", f"{word}({{{key.text}}}, {k}u)"))
 
 
 def _folded(named: Named, params: dict[str, Any], keys: Scalars, numbers: Scalars) -> np.ndarray:
     made, numbers = np.empty(keys.shape, object), np.broadcast_to(numbers, keys.shape)
     for index in np.ndindex(*keys.shape):
-        made[index] = _child(named, keys[index].text, numbers[index].text)
+        made[index] = _child(named, keys[index].text, f"(uint32_t){numbers[index].text}")
     return made
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from motes.native import lanes
 from motes.native.compile import begun, call_kernel
-from motes.native.translate import Translator, Untranslatable, is_lane, traced
+from motes.native.rules import REALS, Untranslatable, kind_of
+from motes.native.translate import Translator, is_lane, traced
 from motes.tracing.program import walk
 
 Function = Callable[..., Any]
@@ -69,12 +70,13 @@ def judgement(function: Function, leaves: Sequence[jax.Array]) -> Stage:
 
 
 def _translated(function: Function, leaves: Sequence[jax.Array]) -> tuple[Translator, list[Any]]:
+    real = kind_of(leaves[0].dtype)
     for leaf in leaves:
-        if leaf.dtype != jnp.float32:
+        if kind_of(leaf.dtype) != real or real not in REALS:
             raise Untranslatable(f"particles of type {leaf.dtype}")
     lanes.check(traced(function, leaves, lanes.COUNT))
     single = traced(function, leaves, 1)
-    translator = Translator()
+    translator = Translator(real)
     first = 0
     inputs = []
     for leaf in leaves:
@@ -120,28 +122,31 @@ def _source(kind: str, translator: Translator, leaves: list[tuple[int, int]], ou
     text = "\n      ".join([*translator.statements, *assignments])
     words = set(re.findall(r"\w+", text))
     used = [j for j in range(count) if f"x{j}" in words]
-    loads = [f"const float* __restrict r{j} = rows.in[{j}];" for j in used]
-    loads += [f"float* __restrict y{j} = rows.out[{j}] + first;" for j in range(made)]
+    real = translator.real
+    loads = [f"const {real}* __restrict r{j} = rows.in[{j}];" for j in used]
+    loads += [f"{real}* __restrict y{j} = rows.out[{j}] + first;" for j in range(made)]
     loads += translator.pointers()
-    gathers = [f"const float x{j} = r{j}[a];" for j in used]
+    gathers = [f"const {real} x{j} = r{j}[a];" for j in used]
     numbers = translator.declarations()
     draws = "\n    ".join([*numbers, *translator.draws])
     constants = "\n    ".join([*numbers, *loads])
     body = "\n      ".join(gathers)
     source = "ancestors[i]" if kind == "move" else "first + i"
-    lists = {"ROWS": [rows for rows, _ in leaves], "OUT_ROWS": [rows for rows, _ in outs], "OUT_RANKS": [rank for _, rank in outs]}
+    lists = {"ROWS": [rows for rows, _ in leaves], "OUT_ROWS": [rows for rows, _ in outs], "OUT_RANKS": [rank for _, rank in outs],
+             "TABLE_BYTES": [table.dtype.itemsize for table in translator.tables]}  # fmt: skip
     arrays = "\n  ".join(f"static constexpr int {name}[] = {{{', '.join(map(str, [*values, 0]))}}};" for name, values in lists.items())
-    return f"""#include "stage.hpp"
+    return f"""#define MOTES_REAL {real}
+#include "stage.hpp"
 using namespace motes;
 struct Model {{
   static constexpr int LEAVES = {len(leaves)}, OUTS = {len(outs)}, IN_ROWS = {count}, OUT_ROWS_ALL = {made};
   static constexpr int NOISE = {translator.rows}, TABLES = {len(translator.tables)};
   {arrays}
-  static void draw(const uint32_t* P, uint32_t begin, float (*noise)[BLOCK]) {{
+  static void draw(const uint32_t* P, uint32_t begin, Real (*noise)[BLOCK]) {{
     {draws}
   }}
   static void lanes(const uint32_t* P, const Rows<Model>& rows, const int32_t* __restrict ancestors, int64_t first, int m,
-                    const float (*__restrict noise)[BLOCK], float* __restrict likelihood, float* __restrict maximum) {{
+                    const Real (*__restrict noise)[BLOCK], Real* __restrict likelihood, Real* __restrict maximum) {{
     {constants}
 #pragma omp simd
     for (int i = 0; i < m; i++) {{
@@ -169,7 +174,7 @@ def call_weigh(
 ) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
     """Return normalized log weights `(n,)`, the judgement `(6,)` (see `logspace.joint_weights`) and the arrays, corrected."""
     made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
-    six = jax.ShapeDtypeStruct((6,), jnp.float32)
+    six = jax.ShapeDtypeStruct((6,), log_weights.dtype)
     words, tables = shared
     weights, found, *results = _call(stage, [log_weights, six, *made], words, log_weights, *leaves, *tables)
     return weights, found, [results.pop(0) if changed else leaf for leaf, changed in zip(leaves, stage.changed, strict=True)]

@@ -89,9 +89,9 @@ class LookUp:
         terms, tests = [str(base)], ["true"]
         for scalar, d in zip(place, self._numbers.start_index_map, strict=True):
             last = self._shape[d] - self._sizes[d]
-            below = f"{scalar.text} < 0 ? 0 : " if scalar.kind == "int32_t" else ""
+            below = f"{scalar.text} < 0 ? 0 : " if scalar.kind.startswith("int") else ""
             kept = self._named("int32_t", f"(int32_t)({below}{scalar.text} > {last} ? {last} : {scalar.text})")
             terms.append(f"{kept} * {self._strides[d]}")
-            tests.append(f"(int32_t){scalar.text} == {kept}")
+            tests.append(f"{scalar.text} == ({scalar.kind}){kept}")
         inside = "" if self._fill is None else self._named("bool", " & ".join(f"({test})" for test in tests))
         return self._named("int32_t", " + ".join(terms)), inside

@@ -15,7 +15,7 @@ from jax.core import Tracer
 
 from motes.core import random
 from motes.native import keys
-from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal, located
+from motes.native.rules import LONG, MOVES, REALS, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal, located
 from motes.native.tables import LookUp
 from motes.native.written_out import WRITTEN_OUT, Writer
 from motes.tracing import known
@@ -40,6 +40,7 @@ class Translator:
     Values are JAX arrays (the same for all particles) or arrays of `Scalar`.
 
     Attributes:
+        real: type of the particles' numbers in C++.
         statements: C++, in order.
         parameters: values that JAX works out, `()` or of any shape, in the order in which the kernel gets them.
         tables: arrays that all particles share and each looks up at places of its own, likewise.
@@ -47,8 +48,9 @@ class Translator:
         rows: number of rows of random numbers.
     """
 
-    def __init__(self) -> None:
-        """Start with nothing."""
+    def __init__(self, real: str) -> None:
+        """Start with nothing but the type of the particles' numbers."""
+        self.real = real
         self.statements: list[str] = []
         self.parameters: list[Any] = []
         self.tables: list[jax.Array] = []
@@ -61,13 +63,18 @@ class Translator:
 
     def inputs(self, first: int, shape: tuple[int, ...]) -> np.ndarray:
         """Name the inputs of one particle, from row `first` on."""
-        return _array([Scalar(f"x{first + i}", "float") for i in range(int(np.prod(shape, dtype=int)))], shape)
+        return _array([Scalar(f"x{first + i}", self.real) for i in range(int(np.prod(shape, dtype=int)))], shape)
 
     def declarations(self) -> list[str]:
         """C++ that gives the parameters their names and types."""
         kinds = [kind for value in self.parameters for kind in [kind_of(value.dtype)] * int(np.size(value))]
-        read = {"float": "bits<float>(P[{0}])", "bool": "P[{0}] != 0", "int32_t": "(int32_t)P[{0}]", "uint32_t": "P[{0}]"}
-        return [f"const {kind} p{i} = {read[kind].format(i)};" for i, kind in enumerate(kinds)]
+        made, at = [], 0
+        for i, kind in enumerate(kinds):
+            words = 2 if kind in LONG else 1
+            bits = f"P[{at}] | (uint64_t)P[{at + 1}] << 32" if words == 2 else f"P[{at}]"
+            made.append(f"const {kind} p{i} = " + (f"P[{at}] != 0;" if kind == "bool" else f"bits<{kind}>({bits});"))
+            at += words
+        return made
 
     def pointers(self) -> list[str]:
         """C++ that gives the tables their names and types."""
@@ -80,7 +87,7 @@ class Translator:
         for value in self.parameters:
             flat = jnp.ravel(jnp.asarray(value))
             whole = flat.astype(jnp.uint32) if flat.dtype == bool else jax.lax.bitcast_convert_type(flat, jnp.uint32)
-            parts.append(whole)
+            parts.append(jnp.ravel(whole))  # a number of 64 bits is two words, the lower first
         return jnp.concatenate(parts)
 
     def literal(self, atom: Any) -> Any:
@@ -102,7 +109,7 @@ class Translator:
     def _equation(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
         block = block_of(eqn)
         if block:
-            return [self._draw(block, operands[0], eqn.outvars[0].aval.shape)]
+            return [self._draw(block, operands[0], eqn.outvars[0].aval)]
         shared = not any(is_lane(value) for value in operands)
         if called(eqn) is not None and not (shared and has_own_mapping(eqn)):
             return walk(called(eqn), operands, self)
@@ -217,13 +224,13 @@ class Translator:
 
     def _inner_product(self, x: np.ndarray, y: np.ndarray) -> Scalar:
         if not len(x):
-            return Scalar(literal(0, "float"), "float")
-        if x[0].kind != "float":
-            raise Untranslatable("a matrix product of whole numbers")
+            return Scalar(literal(0, self.real), self.real)
+        if x[0].kind not in REALS or x[0].kind != y[0].kind:
+            raise Untranslatable(f"a matrix product of {x[0].kind} and {y[0].kind}")
         text = f"{x[0].text} * {y[0].text}"
         for one, other in zip(x[1:], y[1:], strict=True):
             text = f"motes::fma({one.text}, {other.text}, {text})"
-        return self._named("float", text)
+        return self._named(x[0].kind, text)
 
     def _branches(self, parts: Branches) -> list[np.ndarray]:
         """Work out every branch and select."""
@@ -258,15 +265,17 @@ class Translator:
             self.tables.append(words.astype(jnp.int32) if words.dtype == bool else words)
         return self._named_tables[id(value)]
 
-    def _draw(self, block: str, key: Any, shape: tuple[int, ...]) -> np.ndarray:
+    def _draw(self, block: str, key: Any, drawn: Any) -> np.ndarray:
         if is_lane(key):
             raise Untranslatable("random numbers with a key of each particle's own")
+        if kind_of(drawn.dtype) != self.real:
+            raise Untranslatable(f"random numbers of type {drawn.dtype} for particles of another")
         first, second = self.scalars(key).flat
-        rows = int(np.prod(shape[:-1], dtype=int))
+        rows = int(np.prod(drawn.shape[:-1], dtype=int))
         self.draws.append(f"{block}(Key{{{first.text}, {second.text}}}, begin, {rows}, noise + {self.rows});")
-        drawn = [Scalar(f"noise[{self.rows + r}][i]", "float") for r in range(rows)]
+        scalars = [Scalar(f"noise[{self.rows + r}][i]", self.real) for r in range(rows)]
         self.rows += rows
-        return _array(drawn, shape)
+        return _array(scalars, drawn.shape)
 
 
 def is_lane(value: Any) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from motes.native.rules import Named, Scalar, Scalars, Untranslatable, formula, literal
+from motes.native.rules import REALS, Named, Scalar, Scalars, Untranslatable, formula, kind_of, literal
 
 LARGEST = 40
 """Rows of matrices and of what is sorted; beyond it a loop over particles is no better than JAX."""
@@ -40,15 +40,16 @@ class Writer:
 
     def less(self, a: Scalar, b: Scalar, c: Scalar) -> Scalar:
         """Write c - a b, rounded once."""
-        return self.named("float", f"motes::fma(-{a.text}, {b.text}, {c.text})")
+        return self.named(c.kind, f"motes::fma(-{a.text}, {b.text}, {c.text})")
 
-    def number(self, value: float) -> Scalar:
-        """Write a known float."""
-        return Scalar(literal(value, "float"), "float")
+    def number(self, value: float, like: Scalar) -> Scalar:
+        """Write a known number of the type of another."""
+        return Scalar(literal(value, like.kind), like.kind)
 
-    def whole(self, value: int) -> Scalar:
+    def whole(self, value: int, dtype: Any = np.int32) -> Scalar:
         """Write a known whole number."""
-        return Scalar(literal(value, "int32_t"), "int32_t")
+        kind = kind_of(dtype)
+        return Scalar(literal(value, kind), kind)
 
 
 def _rows(array: np.ndarray, axis: int) -> tuple[np.ndarray, Callable[[Sequence[Any]], np.ndarray]]:
@@ -99,10 +100,11 @@ def _sorted(writer: Writer, params: dict[str, Any], *operands: np.ndarray) -> li
 
 
 def _key(writer: Writer, element: Scalar) -> Scalar:
-    if element.kind != "float":
+    if element.kind not in REALS:
         return element
     x = element.text
-    return writer.named("int32_t", f"motes::rank({x} == 0.f ? 0.f : ({x} != {x} ? NOT_A_NUMBER : {x}))")
+    kind = "int32_t" if element.kind == "float" else "int64_t"
+    return writer.named(kind, f"motes::rank({x} == 0 ? ({element.kind})0 : ({x} != {x} ? NOT_A_NUMBER : {x}))")
 
 
 def _in_order(writer: Writer, one: tuple[Scalar, ...], other: tuple[Scalar, ...]) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
@@ -116,17 +118,17 @@ def _place_of(comparison: str) -> Callable[..., list[np.ndarray]]:
     """The place of the first of the largest, or smallest; of the first NaN where there is one."""
 
     def write(writer: Writer, params: dict[str, Any], operand: np.ndarray) -> list[np.ndarray]:
-        (axis,) = params["axes"]
+        (axis,), dtype = params["axes"], params["index_dtype"]
         last = np.moveaxis(operand, axis, -1)
         made = np.empty(last.shape[:-1], object)
         for index in np.ndindex(*made.shape):
-            best, place = last[index][0], writer.whole(0)
+            best, place = last[index][0], writer.whole(0, dtype)
             for i, element in enumerate(last[index][1:], 1):
                 text = f"{element.text} {comparison} {best.text}"
-                if element.kind == "float":
+                if element.kind in REALS:
                     text = f"({best.text} == {best.text}) & (({text}) | ({element.text} != {element.text}))"
                 better = writer.named("bool", text)
-                best, place = writer.select(better, element, best), writer.select(better, writer.whole(i), place)
+                best, place = writer.select(better, element, best), writer.select(better, writer.whole(i, dtype), place)
             made[index] = place
         return [made]
 
@@ -144,7 +146,7 @@ def _cholesky(writer: Writer, params: dict[str, Any], operand: Scalars) -> list[
     made = np.empty(operand.shape, object)
     for index in np.ndindex(*operand.shape[:-2]):
         a = operand[index]
-        factor: Scalars = _filled((m, m), writer.number(0.0))
+        factor: Scalars = _filled((m, m), writer.number(0.0, a[0, 0]))
         good = Scalar("true", "bool")
         for j in range(m):
             for i in range(j, m):
@@ -152,9 +154,9 @@ def _cholesky(writer: Writer, params: dict[str, Any], operand: Scalars) -> list[
                 for k in range(j):
                     rest = writer.less(factor[i, k], factor[j, k], rest)
                 if i == j:
-                    good = writer.named("bool", f"{good.text} & ({rest.text} > 0.f)")
+                    good = writer.named("bool", f"{good.text} & ({rest.text} > 0)")
                 factor[i, j] = writer("sqrt", rest) if i == j else writer("div", rest, factor[j, j])
-        nothing = writer.number(np.nan)
+        nothing = writer.number(np.nan, a[0, 0])
         for i, j in np.ndindex(m, m):
             made[(*index, i, j)] = writer.select(good, factor[i, j], nothing) if i >= j else factor[i, j]
     return [made]

@@ -195,11 +195,14 @@ static inline __attribute__((always_inline)) float cosh(float x) {
   return half * (0.5f * half) + 0.5f / half / half;
 }
 
+static inline __attribute__((always_inline)) float absolute(float x) { return __builtin_fabsf(x); }
+static inline __attribute__((always_inline)) float floor(float x) { return __builtin_floorf(x); }
+static inline __attribute__((always_inline)) float ceil(float x) { return __builtin_ceilf(x); }
+static inline __attribute__((always_inline)) float round_away(float x) { return __builtin_roundf(x); }
 static inline __attribute__((always_inline)) float logistic(float x) { return 1.f / (1.f + exp(-x)); }
 static inline __attribute__((always_inline)) float sqrt(float x) { return __builtin_sqrtf(x); }
 static inline __attribute__((always_inline)) float rsqrt(float x) { return 1.f / __builtin_sqrtf(x); }
 
-// saturating, as XLA does it
 // whole numbers in the total order of float32: -NaN, -inf, ..., -0, 0, ..., inf, NaN
 static inline __attribute__((always_inline)) int32_t rank(float x) {
   int32_t word = bits<int32_t>(x);
@@ -211,7 +214,7 @@ template <class Whole>
 static inline __attribute__((always_inline)) Whole quotient(Whole a, Whole b) {
   bool negated = ((Whole)(b + 1) == 0) & ((Whole)-1 < 0);
   Whole by = (b == 0) | negated ? (Whole)1 : b;
-  return b == 0 ? (Whole)-1 : negated ? (Whole)(0u - (uint32_t)a) : (Whole)(a / by);
+  return b == 0 ? (Whole)-1 : negated ? (Whole)(0 - a) : (Whole)(a / by);
 }
 
 // as XLA: by zero gives the dividend
@@ -222,9 +225,13 @@ static inline __attribute__((always_inline)) Whole left_over(Whole a, Whole b) {
   return b == 0 ? a : negated ? (Whole)0 : (Whole)(a % by);
 }
 
-static inline __attribute__((always_inline)) int32_t to_int(float x) {
-  float inside = (x >= 2147483648.f) | (x < -2147483648.f) | (x != x) ? 0.f : x;
-  return x >= 2147483648.f ? INT32_MAX : (x < -2147483648.f ? INT32_MIN : (int32_t)inside);
+// saturating, as XLA does it; NaN gives zero
+template <class Whole, class Float>
+static inline __attribute__((always_inline)) Whole to_whole(Float x) {
+  constexpr Float beyond = sizeof(Whole) == 4 ? (Float)2147483648. : (Float)9223372036854775808.;
+  constexpr Whole largest = sizeof(Whole) == 4 ? (Whole)INT32_MAX : (Whole)INT64_MAX;
+  Float inside = (x >= beyond) | (x < -beyond) | (x != x) ? (Float)0 : x;
+  return x >= beyond ? largest : (x < -beyond ? (Whole)(-largest - 1) : (Whole)inside);
 }
 
 // x - n y for n the quotient without its fraction, exact while n < 2^29

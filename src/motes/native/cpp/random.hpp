@@ -1,8 +1,14 @@
 // The random stream of motes.core.random: the same words, and normal numbers equal to it within 2 units in the last place.
 #pragma once
-#include "math.hpp"
+#include "math_double.hpp"
+
+#ifndef MOTES_REAL
+#define MOTES_REAL float
+#endif
 
 namespace motes {
+
+typedef MOTES_REAL Real;  // numbers of particles
 
 constexpr int BLOCK = 1024;  // particles that are worked on at a time: all their numbers stay in the first-level cache
 constexpr uint32_t UNIFORM_TAG = 0x80000000u;
@@ -33,6 +39,11 @@ static inline __attribute__((always_inline)) uint32_t word(Key key, uint32_t num
   return words.first ^ words.second;
 }
 
+static inline __attribute__((always_inline)) uint64_t word_of_64(Key key, uint32_t number) {
+  Words words = threefry(key, 0, number);
+  return (uint64_t)words.first << 32 | words.second;
+}
+
 // step by step as in motes.core.random
 static inline __attribute__((always_inline)) float to_normal(uint32_t word) {
   float centered = (float)(int32_t)word * 4.65661287e-10f;
@@ -46,7 +57,18 @@ static inline __attribute__((always_inline)) float to_normal(uint32_t word) {
   return 1.41421354f * (erf_inv_slope(w, -log_and_more) * centered);
 }
 
-// rows of standard normal numbers for the BLOCK particles from `begin` on
+static inline __attribute__((always_inline)) double to_normal(uint64_t word) {
+  double centered = (double)(int64_t)word * 1.0842021724855044e-19;
+  centered = centered > 0.99999999999999989 ? 0.99999999999999989 : (centered < -0.99999999999999989 ? -0.99999999999999989 : centered);
+  FactoredDouble factored = factor((1. - centered) * (1. + centered));
+  double s = factored.rest / (2. + factored.rest), z = s * s;
+  double log = fma(polynomial(z, 0.1662237988556164, 0.18140156550162828, 0.2222286313243771, 0.28571424130490974, 0.4000000001123118,
+                              0.6666666666666207), z, 2.);
+  double w = fma(factored.twos, -0.6931471805599453, -s * log);
+  return 1.4142135623730951 * (erf_inv_slope(w) * centered);
+}
+
+// rows of standard normal numbers for the BLOCK particles from `begin` on; both words of the cipher are a number each in float32
 static inline void normals(Key key, uint32_t begin, int rows, float (*out)[BLOCK]) {
   alignas(64) uint32_t words[2][BLOCK];
   for (int pair = 0; 2 * pair < rows; pair++) {
@@ -64,12 +86,31 @@ static inline void normals(Key key, uint32_t begin, int rows, float (*out)[BLOCK
   }
 }
 
-// rows of uniform numbers in [0, 1) for the BLOCK particles from `begin` on
-static inline void uniforms(Key key, uint32_t begin, int rows, float (*out)[BLOCK]) {
+static inline void normals(Key key, uint32_t begin, int rows, double (*out)[BLOCK]) {
+  alignas(64) uint32_t words[2][BLOCK];
   for (int r = 0; r < rows; r++) {
-    float* __restrict row = out[r];
+    double* __restrict row = out[r];
 #pragma omp simd
-    for (int i = 0; i < BLOCK; i++) row[i] = (float)(threefry(key, begin + i, r ^ UNIFORM_TAG).first >> 8) * 5.96046448e-08f;
+    for (int i = 0; i < BLOCK; i++) {
+      Words w = threefry(key, begin + i, r);
+      words[0][i] = w.first, words[1][i] = w.second;
+    }
+#pragma omp simd
+    for (int i = 0; i < BLOCK; i++) row[i] = to_normal((uint64_t)words[0][i] << 32 | words[1][i]);
+  }
+}
+
+static inline __attribute__((always_inline)) float to_uniform(Words words, float) { return (float)(words.first >> 8) * 5.96046448e-08f; }
+static inline __attribute__((always_inline)) double to_uniform(Words words, double) {
+  return ((double)(words.first >> 5) * 67108864. + (double)(words.second >> 6)) * 1.1102230246251565e-16;
+}
+
+// rows of uniform numbers in [0, 1) for the BLOCK particles from `begin` on
+static inline void uniforms(Key key, uint32_t begin, int rows, Real (*out)[BLOCK]) {
+  for (int r = 0; r < rows; r++) {
+    Real* __restrict row = out[r];
+#pragma omp simd
+    for (int i = 0; i < BLOCK; i++) row[i] = to_uniform(threefry(key, begin + i, r ^ UNIFORM_TAG), Real());
   }
 }
 

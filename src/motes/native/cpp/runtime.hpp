@@ -34,14 +34,16 @@ struct Batch {
     for (int64_t a = 0; a < axes; a++) count *= dims[a];
   }
   template <class T>
-  T* of(const Operand& operand, int64_t run) const {
-    int64_t size = 1, offset = 0;
+  T* of(const Operand& operand, int64_t run) const { return (T*)at(operand, run, sizeof(T)); }
+  // elements of so many bytes
+  void* at(const Operand& operand, int64_t run, int64_t bytes) const {
+    int64_t size = bytes, offset = 0;
     for (int64_t a = axes; a < operand.rank; a++) size *= operand.dims[a];
     for (int64_t a = axes; a-- > 0;) {
       if (operand.dims[a] != 1) offset += run % dims[a] * size, size *= operand.dims[a];
       run /= dims[a];
     }
-    return (T*)operand.data + offset;
+    return operand.data + offset;
   }
 };
 

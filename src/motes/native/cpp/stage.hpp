@@ -1,6 +1,6 @@
 // The two stages of a filter with particles, for a traced model: `Model` is written by the translator.
 //   LEAVES, ROWS[], RANKS[]: arrays of the particles' state; OUTS, OUT_ROWS[], OUT_RANKS[]: those that the stage changes;
-//   TABLES: arrays that all particles share, of 32-bit elements;
+//   TABLES, TABLE_BYTES[]: arrays that all particles share, and the size of their elements;
 //   NOISE: rows of random numbers; draw(P, begin, noise) fills them; lanes(...) works on up to BLOCK particles.
 #pragma once
 #include "weights.hpp"
@@ -9,8 +9,8 @@ namespace motes {
 
 template <class Model>
 struct Rows {
-  const float* in[Model::IN_ROWS + 1];
-  float* out[Model::OUT_ROWS_ALL + 1];
+  const Real* in[Model::IN_ROWS + 1];
+  Real* out[Model::OUT_ROWS_ALL + 1];
   const void* tables[Model::TABLES + 1];
 };
 
@@ -19,14 +19,14 @@ static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, 
   Rows<Model> rows;
   int at = 0;
   for (int leaf = 0; leaf < Model::LEAVES; leaf++) {
-    const float* data = batch.of<const float>(frame.arg(2 + leaf), run);
+    const Real* data = batch.of<const Real>(frame.arg(2 + leaf), run);
     for (int r = 0; r < Model::ROWS[leaf]; r++) rows.in[at++] = data + r * n;
   }
   for (int table = 0; table < Model::TABLES; table++)
-    rows.tables[table] = batch.of<const uint32_t>(frame.arg(2 + Model::LEAVES + table), run);
+    rows.tables[table] = batch.at(frame.arg(2 + Model::LEAVES + table), run, Model::TABLE_BYTES[table]);
   at = 0;
   for (int leaf = 0; leaf < Model::OUTS; leaf++) {
-    float* data = batch.of<float>(frame.ret(first_out + leaf), run);
+    Real* data = batch.of<Real>(frame.ret(first_out + leaf), run);
     for (int r = 0; r < Model::OUT_ROWS[leaf]; r++) rows.out[at++] = data + r * n;
   }
   return rows;
@@ -43,7 +43,7 @@ static void move(const Frame& frame, const Team& team) {
     const int32_t* ancestors = batch.of<const int32_t>(frame.arg(1), run);
     Rows<Model> rows = rows_of<Model>(frame, batch, run, n, 0);
     own.each(blocks_of(n), ALONE, [=](int64_t b) {
-      alignas(64) float noise[Model::NOISE + 1][BLOCK];
+      alignas(64) Real noise[Model::NOISE + 1][BLOCK];
       Model::draw(parameters, (uint32_t)(b * BLOCK), noise);
       Model::lanes(parameters, rows, ancestors + b * BLOCK, b * BLOCK, length_of(b, n), noise, nullptr, nullptr);
     });
@@ -56,8 +56,8 @@ static void weigh(const Frame& frame, const Team& team) {
   weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t n) {
     const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
     Rows<Model> rows = rows_of<Model>(frame, batch, run, n, 2);
-    return [=](int64_t b, float* likelihood, float* maximum) {
-      alignas(64) float noise[Model::NOISE + 1][BLOCK];
+    return [=](int64_t b, Real* likelihood, Real* maximum) {
+      alignas(64) Real noise[Model::NOISE + 1][BLOCK];
       Model::draw(parameters, (uint32_t)(b * BLOCK), noise);
       Model::lanes(parameters, rows, nullptr, b * BLOCK, length_of(b, n), noise, likelihood, maximum);
       return Seen{likelihood, maximum};

@@ -13,24 +13,24 @@ static inline int length_of(int64_t block, int64_t n) { return (int)(n - block *
 
 // What one block of particles adds to the judgement of a step.
 struct Tally {
-  float top, highest, lowest, shortfall;  // shortfall: smallest distance of a log likelihood from the largest it could be
+  Real top, highest, lowest, shortfall;  // shortfall: smallest distance of a log likelihood from the largest it could be
   double sum, squares;              // of weights relative to top
   int64_t invalid;
 };
 
 // Adds likelihoods to log weights in place of `joint`, for one block.
-static inline Tally tally(const float* __restrict log_weights, const float* __restrict likelihood, const float* __restrict maximum,
-                          float* __restrict joint, int m) {
-  float top = -INF, highest = -INF, lowest = INF, shortfall = INF;
+static inline Tally tally(const Real* __restrict log_weights, const Real* __restrict likelihood, const Real* __restrict maximum,
+                          Real* __restrict joint, int m) {
+  Real top = -INF, highest = -INF, lowest = INF, shortfall = INF;
   int invalid = 0;
 #pragma omp simd reduction(max : top, highest) reduction(min : lowest, shortfall) reduction(+ : invalid)
   for (int i = 0; i < m; i++) {
-    float given = likelihood[i];
+    Real given = likelihood[i];
     bool bad = given != given;
-    float known = bad ? -INF : given;
-    float sum = log_weights[i] + known;
-    float distance = maximum[i] - known;
-    distance = maximum[i] < INF && maximum[i] > -INF ? distance : 0.f;
+    Real known = bad ? -INF : given;
+    Real sum = log_weights[i] + known;
+    Real distance = maximum[i] - known;
+    distance = maximum[i] < INF && maximum[i] > -INF ? distance : 0;
     invalid += bad;
     joint[i] = sum;
     top = sum > top ? sum : top;
@@ -40,10 +40,10 @@ static inline Tally tally(const float* __restrict log_weights, const float* __re
   }
   double sum = 0, squares = 0;
   if (top > -INF && top < INF) {
-    float part = 0, square = 0;
+    Real part = 0, square = 0;
 #pragma omp simd reduction(+ : part, square)
     for (int i = 0; i < m; i++) {
-      float w = exp(joint[i] - top);
+      Real w = exp(joint[i] - top);
       part += w, square += w * w;
     }
     sum = part, squares = square;
@@ -52,9 +52,9 @@ static inline Tally tally(const float* __restrict log_weights, const float* __re
 }
 
 // Makes the judgement (log evidence, effective sample size, invalid, lowest, highest, shortfall); gives the log of the sum of weights and top.
-struct Judgement { float top, log_sum; };
+struct Judgement { Real top, log_sum; };
 
-static inline Judgement judge(const Tally* tallies, int64_t blocks, float* __restrict info) {
+static inline Judgement judge(const Tally* tallies, int64_t blocks, Real* __restrict info) {
   Tally all = tallies[0];
   for (int64_t b = 1; b < blocks; b++) {
     const Tally& one = tallies[b];
@@ -64,7 +64,7 @@ static inline Judgement judge(const Tally* tallies, int64_t blocks, float* __res
     all.shortfall = one.shortfall < all.shortfall ? one.shortfall : all.shortfall;
     all.invalid += one.invalid;
   }
-  float anchor = all.top > -INF && all.top < INF ? all.top : 0.f;
+  Real anchor = all.top > -INF && all.top < INF ? all.top : 0;
   double sum = 0, squares = 0;
   for (int64_t b = 0; b < blocks; b++) {
     if (!(tallies[b].top > -INF)) continue;
@@ -73,16 +73,16 @@ static inline Judgement judge(const Tally* tallies, int64_t blocks, float* __res
   }
   if (all.top == INF) sum = INF;
   double log_sum = __builtin_log(sum);
-  info[0] = (float)(anchor + log_sum);
-  info[1] = (float)(sum * sum / squares);
-  info[2] = (float)all.invalid;
+  info[0] = (Real)(anchor + log_sum);
+  info[1] = (Real)(sum * sum / squares);
+  info[2] = (Real)all.invalid;
   info[3] = all.lowest;
   info[4] = all.highest;
   info[5] = all.shortfall;
-  return {anchor, (float)log_sum};
+  return {anchor, (Real)log_sum};
 }
 
-static inline void normalize(float* __restrict joint, Judgement found, int m) {
+static inline void normalize(Real* __restrict joint, Judgement found, int m) {
 #pragma omp simd
   for (int i = 0; i < m; i++) joint[i] = (joint[i] - found.top) - found.log_sum;
 }
@@ -90,7 +90,7 @@ static inline void normalize(float* __restrict joint, Judgement found, int m) {
 enum Policy { ALWAYS = 0, NEVER = 1, SIZE = 2, ENTROPY = 3 };
 
 // Turns the cumulative weights of one block into the ancestors of its children [first, last), without branches that cannot be foretold.
-static inline void children(const float* __restrict weights, double before, double scale, double u, int64_t begin, int m, int32_t first,
+static inline void children(const Real* __restrict weights, double before, double scale, double u, int64_t begin, int m, int32_t first,
                             int32_t last, int32_t* __restrict ancestors) {
   if (last <= first) return;
   alignas(64) int32_t ends[BLOCK + 16];
@@ -107,7 +107,7 @@ static inline void children(const float* __restrict weights, double before, doub
   // rounding must not give the block's last child to a particle without weight
   int end = m;
   ends[end] = last;
-  while (end > 1 && weights[end - 1] == 0.f) ends[--end] = last;
+  while (end > 1 && weights[end - 1] == 0) ends[--end] = last;
   __builtin_memset(ancestors + first, 0, sizeof(int32_t) * (last - first));
 #pragma omp simd
   for (int i = 0; i < m; i++)
@@ -122,25 +122,25 @@ static inline void children(const float* __restrict weights, double before, doub
 }
 
 // Systematic resampling where the policy asks for it; else every particle is its own ancestor and keeps its weight.
-static inline void choose(const Team& team, const float* log_weights, float u, float threshold, Policy policy, int64_t n,
-                          int32_t* ancestors, float* log_weights_after) {
+static inline void choose(const Team& team, const Real* log_weights, Real u, Real threshold, Policy policy, int64_t n,
+                          int32_t* ancestors, Real* log_weights_after) {
   int64_t blocks = blocks_of(n);
-  Scratch memory(sizeof(float) * blocks * BLOCK + 3 * sizeof(double) * (blocks + 1));
-  float* weights = memory.as<float>();
+  Scratch memory(sizeof(Real) * blocks * BLOCK + 3 * sizeof(double) * (blocks + 1));
+  Real* weights = memory.as<Real>();
   double* sums = (double*)(weights + blocks * BLOCK);
   double *squares = sums + blocks + 1, *terms = squares + blocks;
   if (policy != NEVER) {
     team.each(blocks, ALONE, [=](int64_t b) {
-      const float* __restrict from = log_weights + b * BLOCK;
-      float* __restrict to = weights + b * BLOCK;
+      const Real* __restrict from = log_weights + b * BLOCK;
+      Real* __restrict to = weights + b * BLOCK;
       int m = length_of(b, n);
       double sum = 0;
-      float square = 0, term = 0;
+      Real square = 0, term = 0;
 #pragma omp simd reduction(+ : sum, square, term)
       for (int i = 0; i < m; i++) {
-        float w = exp(from[i]);
+        Real w = exp(from[i]);
         to[i] = w;
-        sum += w, square += w * w, term += w > 0.f ? w * from[i] : 0.f;
+        sum += w, square += w * w, term += w > 0 ? w * from[i] : 0;
       }
       sums[b + 1] = sum, squares[b] = square, terms[b] = term;
     });
@@ -151,11 +151,11 @@ static inline void choose(const Team& team, const float* log_weights, float u, f
   bool needed = policy == ALWAYS || (policy == SIZE && 1.0 / square < threshold * (double)n) ||
                 (policy == ENTROPY && __builtin_log((double)n) + term > threshold);
   double scale = (double)n / sums[blocks];
-  float equal = -__builtin_logf((float)n);
+  Real equal = (Real)-__builtin_log((double)n);
   team.each(blocks, ALONE, [=](int64_t b) {
     int64_t begin = b * BLOCK;
     int m = length_of(b, n);
-    float* __restrict to = log_weights_after + begin;
+    Real* __restrict to = log_weights_after + begin;
     if (!needed || !(scale < INF)) {
       for (int i = 0; i < m; i++) to[i] = log_weights[begin + i], ancestors[begin + i] = (int32_t)(begin + i);
       return;
@@ -180,7 +180,7 @@ static void for_each_run(const Team& team, const Batch& batch, int64_t n, Body b
   }
 }
 
-struct Seen { const float *likelihood, *maximum; };
+struct Seen { const Real *likelihood, *maximum; };
 
 // The whole of weighing. args: anything, log weights `(n)`, ...; rets: log weights `(n)`, judgement `(6)`, ...
 // `prepare(batch, run, n)` gives a function of (block, likelihood, maximum) that says where the log likelihoods of a block and the
@@ -191,17 +191,17 @@ static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare) {
   Batch batch(out, 1);
   int64_t n = out.dims[out.rank - 1], blocks = blocks_of(n);
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
-    const float* before = batch.of<const float>(frame.arg(1), run);
-    float* joint = batch.of<float>(out, run);
+    const Real* before = batch.of<const Real>(frame.arg(1), run);
+    Real* joint = batch.of<Real>(out, run);
     auto see = prepare(batch, run, n);
     Scratch memory(sizeof(Tally) * blocks);
     Tally* tallies = memory.as<Tally>();
     own.each(blocks, ALONE, [=](int64_t b) {
-      alignas(64) float likelihood[BLOCK], maximum[BLOCK];
+      alignas(64) Real likelihood[BLOCK], maximum[BLOCK];
       Seen seen = see(b, likelihood, maximum);
       tallies[b] = tally(before + b * BLOCK, seen.likelihood, seen.maximum, joint + b * BLOCK, length_of(b, n));
     });
-    Judgement found = judge(tallies, blocks, batch.of<float>(frame.ret(1), run));
+    Judgement found = judge(tallies, blocks, batch.of<Real>(frame.ret(1), run));
     own.each(blocks, 4 * ALONE, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); });
   });
 }
