@@ -26,6 +26,8 @@ ENGINES = {
     "motes (native)": Engine("ours", "motes", {"engine": "native"}),
     "motes, mean and covariance": Engine("ours", "motes", {"engine": "auto", "keep": "moments"}),
     "motes (JAX), mean and covariance": Engine("ours", "motes", {"engine": "jax", "keep": "moments"}),
+    "motes, float64": Engine("ours", "motes", {"engine": "auto"}, {"JAX_ENABLE_X64": "1"}),
+    "motes (JAX), float64": Engine("ours", "motes", {"engine": "jax"}, {"JAX_ENABLE_X64": "1"}),
     "particles": Engine("particles_peer", "particles", environment=ONE_THREAD),
     "particles (BLAS threads as set up)": Engine("particles_peer", "particles"),
     "smcx": Engine("smcx_peer", "smcx"),
@@ -40,6 +42,7 @@ ENGINES = {
     "written out by hand": Engine("blocks", "", {"way": "hand"}),
 }
 KEEPING = tuple(name for name in ENGINES if "covariance" in name)
+DOUBLE = tuple(name for name in ENGINES if "float64" in name)
 PARTICLE = (
     *(*OURS, *KEEPING, "particles", "particles (BLAS threads as set up)"),
     *("smcx", "cuthbert", "stonesoup", "filterpy", "dynamax", "C++ yardstick"),
@@ -65,7 +68,8 @@ def bootstrap(quick):
     rows = [(model, n) for model in ("line", "radar") for n in sizes if (model, n) != ("radar", 100_000)]
     # the slowest of all would take as long at a million as everything else together
     quickest = tuple(name for name in PARTICLE if name not in ("stonesoup", "filterpy", "dynamax"))
-    return [Row("bootstrap", model, n, 100, PARTICLE if n < 1_000_000 else quickest) for model, n in rows]
+    engines = {n: PARTICLE if n < 1_000_000 else quickest for n in sizes}
+    return [Row("bootstrap", model, n, 100, engines[n] + (DOUBLE if (model, n) == ("radar", 200_000) else ())) for model, n in rows]
 
 
 def models(quick):

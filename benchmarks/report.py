@@ -20,8 +20,9 @@ TITLES = {
 NOTES = {
     "bootstrap": "Nanoseconds per particle and step; systematic resampling at every step, 100 steps. Kept of each step: evidence and ESS "
     "(motes, particles, smcx, yardstick), mean and covariance too where the row says so, evidence alone by cuthbert and Stone Soup. "
-    "particles and Stone Soup compute in float64, all others in float32. Every engine filters the same measurements: that the log "
-    "likelihoods agree shows that all do the same work. The NumPy libraries have one BLAS thread, which is their faster setting.",
+    "particles and Stone Soup compute in float64, all others in float32 but where the row says so. Every engine filters the same "
+    "measurements: that the log likelihoods agree shows that all do the same work. The NumPy libraries have one BLAS thread, which is "
+    "their faster setting.",
     "models": "Nanoseconds per particle and step. Pendulums: ten substeps by Runge and Kutta and a table of 400 x 400 looked up by every "
     "particle, bootstrap filter, 50 steps. Terrain: the demo, 400 fixes over real relief, marginalized and kernel filter.",
     "marginalized": "Nanoseconds per particle and step; radar: one covariance recursion for all particles; turning: one for each particle "

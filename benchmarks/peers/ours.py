@@ -1,4 +1,4 @@
-"""Motes itself: float32, as it comes or on one engine, keeping nothing of each step but evidence and ESS, or mean and covariance too."""
+"""Motes itself: as it comes or on one engine, keeping nothing of each step but evidence and ESS, or mean and covariance too."""
 
 import jax
 import jax.numpy as jnp
@@ -82,7 +82,7 @@ def prepare(task, engine="jax", keep="nothing"):
     if kind == "terrain":
         filter, model, ys, inputs = flight(task)
     else:
-        model, ys = MODELS[task["model"]](), np.asarray(task["ys"], np.float32)
+        model, ys = MODELS[task["model"]](), np.asarray(task["ys"], jnp.result_type(float))
     if kind == "kalman":
         filter = mo.KalmanFilter()
     elif kind == "marginalized":
