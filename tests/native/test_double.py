@@ -14,6 +14,7 @@ import motes as mo
 from motes.core import engine, logspace, random
 from motes.core.record import replace
 from motes.laws.cloud import Cloud, weighted_moments
+from motes.native import compile
 from motes.native.rules import Untranslatable
 from motes.resampling.policy import resample
 from tiers import but_one_in, each
@@ -113,6 +114,12 @@ def test_same_numbers_as_jax(name):
     assert ours.dtype == wanted.dtype == np.float64 and np.array_equal(np.isnan(ours), np.isnan(wanted))
     tolerance = 3e-13 if name in ("exponential", "interpolated", "determinant") else 1e-14
     assert np.allclose(ours, wanted, rtol=tolerance, atol=tolerance, equal_nan=True)
+
+
+@pytest.mark.skipif(not compile.compiler() or "g++" not in compile.compiler()[0], reason="asks g++ what it did")
+@pytest.mark.parametrize("name", each([name for name in PROGRAMS if name in test_translate.PROGRAMS], lambda name: name != "table"))
+def test_loops_over_particles_are_vectorized(name, monkeypatch, tmp_path):
+    test_translate.test_loops_over_particles_are_vectorized(name, monkeypatch, tmp_path)
 
 
 def test_random_numbers_of_another_precision_are_refused():

@@ -181,7 +181,7 @@ BY_DAY = {"where", "reduce", "table", "own array", "solved", "keys chosen"}
 def test_loops_over_particles_are_vectorized(name, monkeypatch, tmp_path):
     sources = []
     monkeypatch.setattr(stage, "begun", sources.append)
-    stage.movement(lambda *lanes: list(PROGRAMS[name](*lanes)), [jnp.asarray(X)])
+    stage.movement(lambda *lanes: list(PROGRAMS[name](*lanes)), [jnp.asarray(X, float)])
     path = tmp_path / "kernel.cpp"
     path.write_text(sources[0])
     words = [*compile.compiler(), *compile.FLAGS, *compile._special(), f"-I{compile.HEADERS}", f"-I{jax.ffi.include_dir()}"]

@@ -145,7 +145,8 @@ class Translator:
         if name in REDUCTIONS:
             return [self._reduced(REDUCTIONS[name], self.scalars(operands[0]), eqn.params["axes"])]
         if name == "dot_general":
-            return [self._product(self.scalars(operands[0]), self.scalars(operands[1]), eqn.params["dimension_numbers"])]
+            a, b = (self._converted(value, kind_of(eqn.outvars[0].aval.dtype)) for value in operands)
+            return [self._product(a, b, eqn.params["dimension_numbers"])]
         return [self._elementwise(name, [self.scalars(value) for value in operands], eqn.params)]
 
     def scalars(self, value: Any) -> np.ndarray:
@@ -222,11 +223,18 @@ class Translator:
         results = [self._inner_product(x, y) for g in range(sizes[0]) for x in left[g] for y in right[g]]
         return _array(results, (*same, *rows, *columns))
 
+    def _converted(self, value: Any, kind: str) -> np.ndarray:
+        """Return scalars of a type; a product may be of two precisions."""
+        scalars = self.scalars(value)
+        if not scalars.size or scalars.flat[0].kind == kind:
+            return scalars
+        return _array([Scalar(f"({kind}){scalar.text}", kind) for scalar in scalars.flat], scalars.shape)
+
     def _inner_product(self, x: np.ndarray, y: np.ndarray) -> Scalar:
         if not len(x):
             return Scalar(literal(0, self.real), self.real)
-        if x[0].kind not in REALS or x[0].kind != y[0].kind:
-            raise Untranslatable(f"a matrix product of {x[0].kind} and {y[0].kind}")
+        if x[0].kind not in REALS:
+            raise Untranslatable("a matrix product of whole numbers")
         text = f"{x[0].text} * {y[0].text}"
         for one, other in zip(x[1:], y[1:], strict=True):
             text = f"motes::fma({one.text}, {other.text}, {text})"
