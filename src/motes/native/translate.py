@@ -18,6 +18,7 @@ from motes.native import keys
 from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal, located
 from motes.native.tables import LookUp
 from motes.native.written_out import WRITTEN_OUT, Writer
+from motes.native.zeros import SMALL, Live, is_zero, live_after, live_in, simpler
 from motes.tracing import known
 from motes.tracing.internals import Branches, Scan, Solve, called, control, has_own_mapping, jitted_name, worked_out
 from motes.tracing.program import walk
@@ -54,10 +55,12 @@ class Translator:
         self.tables: list[jax.Array] = []
         self.draws: list[str] = []
         self.rows = 0
-        self._count = 0
         self._slots: dict[int, np.ndarray] = {}
         self._named_tables: dict[int, str] = {}
         self._kept: list[Any] = []
+        self._names: dict[tuple[str, str], Scalar] = {}
+        self._done: dict[Any, Sequence[Any]] = {}
+        self._lives: dict[int, Live] = {}
 
     def inputs(self, first: int, shape: tuple[int, ...]) -> np.ndarray:
         """Name the inputs of one particle, from row `first` on."""
@@ -89,7 +92,7 @@ class Translator:
 
     def constant(self, variable: Any, value: Any) -> Any:
         """Return an array that the program holds."""
-        return value
+        return value if isinstance(value, Tracer) or value.size > SMALL else _plain(value)
 
     @located
     def step(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
@@ -109,9 +112,26 @@ class Translator:
         if shared and eqn.primitive.name == keys.NUMBERED and eqn.params["shape"] == (1,):
             return [_array([keys.numbered(self._named, self.scalars(jax.random.key_data(operands[0])))], (1,))]
         if shared:
-            return _by_jax(eqn, operands)
+            return self._left_to_jax(eqn, operands)
         parts = control(eqn, operands)
         return self._plain(eqn, operands) if parts is None else self._controlled(eqn.primitive.name, parts)
+
+    def _left_to_jax(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
+        """Let JAX work out what all particles share, once: what is the same has one name, and a table is handed over once."""
+        mark = _mark(eqn, operands)
+        if mark in self._done:
+            return self._done[mark]
+        results = _by_jax(eqn, operands)
+        self._kept += [*operands, *results]  # an id is only good as long as its object lives
+        if any(isinstance(result, Tracer) for result in results):
+            lives = live_after(eqn, operands, [self._live(value) for value in operands])
+            self._lives |= {id(result): live for result, live in zip(results, lives, strict=True)}
+        if mark is not None:
+            self._done[mark] = results
+        return results
+
+    def _live(self, value: Any) -> Live:
+        return self._lives.get(id(value)) if isinstance(value, Tracer) else live_in(value)
 
     def _controlled(self, name: str, parts: Any) -> Sequence[Any]:
         if isinstance(parts, Branches):
@@ -153,13 +173,20 @@ class Translator:
             first = sum(int(np.size(p)) for p in self.parameters)
             self.parameters.append(value)
             self._kept.append(value)  # an id is only good as long as its object lives
-            self._slots[id(value)] = _array([Scalar(f"p{first + i}", kind) for i in range(int(np.size(value)))], np.shape(value))
+            slots = [Scalar(f"p{first + i}", kind) for i in range(int(np.size(value)))]
+            live = self._live(value)
+            if live is not None:
+                slots = [slot if lives else Scalar(literal(0, kind), kind) for slot, lives in zip(slots, live.flat, strict=True)]
+            self._slots[id(value)] = _array(slots, np.shape(value))
         return self._slots[id(value)]
 
     def _named(self, kind: str, text: str) -> Scalar:
-        self._count += 1
-        self.statements.append(f"const {kind} v{self._count} = {text};")
-        return Scalar(f"v{self._count}", kind)
+        """Name an expression; the same expression has one name."""
+        if (kind, text) not in self._names:
+            name = f"v{len(self.statements) + 1}"
+            self.statements.append(f"const {kind} {name} = {text};")
+            self._names[kind, text] = Scalar(name, kind)
+        return self._names[kind, text]
 
     def _elementwise(self, name: str, operands: list[np.ndarray], params: dict[str, Any]) -> np.ndarray:
         wide = np.broadcast_arrays(*operands)
@@ -170,9 +197,14 @@ class Translator:
         found = formula(name, [operand.flat[0].kind for operand in operands], params)
         if found is None:
             raise Untranslatable(f"the operation {name}")
-        text, kind = found
         together = zip(*(operand.flat for operand in wide), strict=True)
-        return _array([self._named(kind, text.format(*(one.text for one in each))) for each in together], wide[0].shape)
+        return _array([self._operation(name, each, *found) for each in together], wide[0].shape)
+
+    def _operation(self, name: str, operands: Sequence[Scalar], text: str, kind: str) -> Scalar:
+        found = simpler(name, operands)
+        if isinstance(found, Scalar):
+            return found
+        return self._named(kind, text.format(*(one.text for one in operands)) if found is None else found)
 
     def _moved(self, eqn: Any, operands: list[Any]) -> list[np.ndarray]:
         """Find where each element goes by moving their numbers instead."""
@@ -216,12 +248,13 @@ class Translator:
         return _array(results, (*same, *rows, *columns))
 
     def _inner_product(self, x: np.ndarray, y: np.ndarray) -> Scalar:
-        if not len(x):
-            return Scalar(literal(0, "float"), "float")
-        if x[0].kind != "float":
+        if len(x) and x[0].kind != "float":
             raise Untranslatable("a matrix product of whole numbers")
-        text = f"{x[0].text} * {y[0].text}"
-        for one, other in zip(x[1:], y[1:], strict=True):
+        terms = [(one, other) for one, other in zip(x, y, strict=True) if not (is_zero(one) or is_zero(other))]
+        if not terms:
+            return Scalar(literal(0, "float"), "float")
+        text = f"{terms[0][0].text} * {terms[0][1].text}"
+        for one, other in terms[1:]:
             text = f"motes::fma({one.text}, {other.text}, {text})"
         return self._named("float", text)
 
@@ -279,6 +312,18 @@ def _array(elements: list[Scalar], shape: Sequence[int]) -> np.ndarray:
     for i, element in enumerate(elements):
         made[i] = element
     return made.reshape(tuple(shape))
+
+
+def _mark(eqn: Any, operands: Sequence[Any]) -> Any:
+    """What two equations have in common that give the same; None where that cannot be told."""
+    small = [isinstance(value, np.ndarray) and value.size <= SMALL for value in operands]
+    values = [(value.dtype, value.shape, value.tobytes()) if few else id(value) for value, few in zip(operands, small, strict=True)]
+    mark = (eqn.primitive, *eqn.params.items(), *values)
+    try:
+        hash(mark)
+    except TypeError:
+        return None
+    return None if eqn.effects else mark
 
 
 def _by_jax(eqn: Any, operands: list[Any]) -> Sequence[Any]:
