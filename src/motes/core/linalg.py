@@ -91,10 +91,10 @@ def symmetric(a: jax.Array) -> jax.Array:
 
 def sandwich(a: jax.Array, p: jax.Array) -> jax.Array:
     """A P A', symmetric up to one rounding for symmetric P."""
-    return _mirrored(product_transposed(product(a, p), a))
+    return mirrored(product_transposed(product(a, p), a))
 
 
-def _mirrored(a: jax.Array) -> jax.Array:
+def mirrored(a: jax.Array) -> jax.Array:
     """Lower triangle twice, not the mean of both: compilers contract the sums in a mean differently for an entry and its mirror image."""
     lower = np.tri(a.shape[0], dtype=bool)
     return jnp.where(lower if a.ndim == 2 else lower[..., None], a, transpose(a))
@@ -112,7 +112,7 @@ def reach(a: jax.Array, deviations: jax.Array) -> jax.Array:
 
 def rank_update(p: jax.Array, v: jax.Array, scale: jax.Array | float = 1.0) -> jax.Array:
     """P + s v v' for v `(i, *n)` and s `()` or `(n,)`, negative to take away; symmetric up to one rounding for symmetric P."""
-    return _mirrored(add(p, v[:, None] * v[None, :] * scale))
+    return mirrored(add(p, v[:, None] * v[None, :] * scale))
 
 
 def identity_like(a: jax.Array) -> jax.Array:

@@ -15,6 +15,7 @@ from jax.core import Tracer
 
 from motes.core import random
 from motes.native import keys
+from motes.native.parts import needed
 from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal, located
 from motes.native.tables import LookUp
 from motes.native.written_out import WRITTEN_OUT, Writer
@@ -59,12 +60,20 @@ class Translator:
         self._named_tables: dict[int, str] = {}
         self._kept: list[Any] = []
         self._names: dict[tuple[str, str], Scalar] = {}
+        self._factors: dict[str, Sequence[Scalar]] = {}
         self._done: dict[Any, Sequence[Any]] = {}
         self._lives: dict[int, Live] = {}
 
     def inputs(self, first: int, shape: tuple[int, ...]) -> np.ndarray:
         """Name the inputs of one particle, from row `first` on."""
         return _array([Scalar(f"x{first + i}", "float") for i in range(int(np.prod(shape, dtype=int)))], shape)
+
+    def needed(self, ends: Sequence[str]) -> list[str]:
+        """Return the statements that some last ones need."""
+        kept = needed(self.statements, ends)
+        if len(kept) > MOST_STATEMENTS:
+            raise Untranslatable(f"more than {MOST_STATEMENTS} scalar operations")
+        return kept
 
     def declarations(self) -> list[str]:
         """C++ that gives the parameters their names and types."""
@@ -98,7 +107,7 @@ class Translator:
     def step(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
         """Translate an equation."""
         results = self._equation(eqn, operands)
-        if len(self.statements) > MOST_STATEMENTS:
+        if len(self.statements) > 2 * MOST_STATEMENTS:  # half of them, such as a second triangle, may not be needed
             raise Untranslatable(f"more than {MOST_STATEMENTS} scalar operations")
         return results
 
@@ -165,7 +174,7 @@ class Translator:
         """Return a value as an array of scalars; what JAX works out becomes parameters."""
         if is_lane(value):
             return value
-        if isinstance(value, np.ndarray) and value.size <= 64:
+        if isinstance(value, np.ndarray) and (value.size <= 64 or value.dtype == bool):
             kind = kind_of(value.dtype)
             return _array([Scalar(literal(v, kind), kind) for v in value.reshape(-1)], value.shape)
         if id(value) not in self._slots:
@@ -204,7 +213,26 @@ class Translator:
         found = simpler(name, operands)
         if isinstance(found, Scalar):
             return found
-        return self._named(kind, text.format(*(one.text for one in operands)) if found is None else found)
+        if found is None and kind == "float":
+            found = self._rounded_once(name, operands)
+        made = self._named(kind, text.format(*(one.text for one in operands)) if found is None else found)
+        if name == "mul" and kind == "float":
+            self._factors[made.text] = operands
+        return made
+
+    def _rounded_once(self, name: str, operands: Sequence[Scalar]) -> str | None:
+        """Fuse the sum of a product and a number, as XLA does; factors stand in one order, so that equal sums of products have one name."""
+        if name == "mul":
+            return " * ".join(sorted(operand.text for operand in operands))
+        if name not in ("add", "add_any", "sub"):
+            return None
+        a, b = (operand.text for operand in operands)
+        minus = "-" if name == "sub" else ""
+        for product, rest, sign in ((b, a, minus), (a, minus + b, "")):
+            if product in self._factors:
+                x, y = sorted(factor.text for factor in self._factors[product])
+                return f"motes::fma({sign}{x}, {y}, {rest})"
+        return None
 
     def _moved(self, eqn: Any, operands: list[Any]) -> list[np.ndarray]:
         """Find where each element goes by moving their numbers instead."""
@@ -253,10 +281,11 @@ class Translator:
         terms = [(one, other) for one, other in zip(x, y, strict=True) if not (is_zero(one) or is_zero(other))]
         if not terms:
             return Scalar(literal(0, "float"), "float")
-        text = f"{terms[0][0].text} * {terms[0][1].text}"
-        for one, other in terms[1:]:
-            text = f"motes::fma({one.text}, {other.text}, {text})"
-        return self._named("float", text)
+        products = [self._operation("mul", term, "", "float") for term in terms]
+        total = products[0]
+        for product in products[1:]:
+            total = self._operation("add", (total, product), "{0} + {1}", "float")
+        return total
 
     def _branches(self, parts: Branches) -> list[np.ndarray]:
         """Work out every branch and select."""
