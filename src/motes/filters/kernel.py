@@ -213,8 +213,8 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
                 slope_nonlinear, R = unscaled(scaled_slope, factor), linalg.add(unexplained, R)
             else:
                 prediction, slope_nonlinear = sensor.means(X, u, t), slope_in(sensor, model.nonlinear, X, u, t)
-            slope_linear = slope_in(sensor, model.linear, X, u, t) if shared is None else shared
-            slope_linear = jnp.where(np.array(model.seen)[list(model.linear)], slope_linear.T, 0).T
+            sees = np.array(model.seen)[list(model.linear)]
+            slope_linear = slope_in(sensor, model.linear, X, u, t) if shared is None else jnp.where(sees, shared, 0)
             parts = ((model.nonlinear, slope_nonlinear), (model.linear, slope_linear))
             done = before.corrected_in_turn(sensor.residual(y, prediction), parts, R, measured_in(y, R))
             return replace(law, parts=done.law), done.log_evidence, done.max_log_evidence

@@ -48,12 +48,12 @@ def in_parts(statements: Sequence[str], ends: Sequence[str]) -> Parts:
     known: set[str] = set()
 
     def from_before(name: str, body: list[str], there: set[str]) -> None:
-        """Have a part know what an earlier one worked out; truths, which have no arrays, are worked out again."""
+        """Have a part know what an earlier one worked out; truths are worked out, and numbers taken in, again."""
         if name not in known or name in there:
             return
         there.add(name)
         _, kind, _, *used = WORDS.findall(text_of[name])
-        if kind == "bool":
+        if kind == "bool" or (name.startswith("x") and "ancestors" not in used):
             for word in used:
                 from_before(word, body, there)
             body.append(text_of[name])
@@ -80,30 +80,20 @@ def in_parts(statements: Sequence[str], ends: Sequence[str]) -> Parts:
 
 
 def _ordered(statements: Sequence[str], ends: Sequence[str]) -> list[str]:
-    """Put statements that take in a number where it is first used, and last ones where all that they need is there."""
+    """Put every statement just before the first one that needs it, so that parts have little to hand on."""
     text_of = {WORDS.findall(statement)[2]: statement for statement in statements}
     there: set[str] = set()
-    waiting = {end: {word for word in WORDS.findall(end) if word in text_of} for end in ends}
     ordered: list[str] = []
-
-    def add(name: str) -> None:
-        if name in there:
-            return
-        there.add(name)
-        for word in WORDS.findall(text_of[name])[3:]:
-            if word.startswith("x") and word in text_of:
-                add(word)
-        ordered.append(text_of[name])
-
-    for name in text_of:
-        if not name.startswith("x"):
-            add(name)
-            ready = [end for end, words in waiting.items() if words <= there]
-            ordered += ready
-            for end in ready:
-                del waiting[end]
-    for end, words in waiting.items():
-        for word in words:
-            add(word)
-        ordered.append(end)
+    for end in ends:
+        waiting = [("", end)]
+        while waiting:
+            name, text = waiting[-1]
+            missing = [word for word in dict.fromkeys(WORDS.findall(text)) if word != name and word in text_of and word not in there]
+            if missing:
+                waiting += [(word, text_of[word]) for word in reversed(missing)]
+                continue
+            waiting.pop()
+            if name not in there:
+                ordered.append(text)
+                there.add(name or text)
     return ordered

@@ -17,11 +17,11 @@ from motes.core import random
 from motes.native import keys
 from motes.native.parts import needed
 from motes.native.rules import MOVES, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal, located
+from motes.native.shared import LeftToJax, by_jax, plain
 from motes.native.tables import LookUp
 from motes.native.written_out import WRITTEN_OUT, Writer
-from motes.native.zeros import SMALL, Live, is_zero, live_after, live_in, simpler
-from motes.tracing import known
-from motes.tracing.internals import Branches, Scan, Solve, called, control, has_own_mapping, jitted_name, worked_out
+from motes.native.zeros import SMALL, is_zero, simpler
+from motes.tracing.internals import Branches, Scan, Solve, called, control, has_own_mapping, jitted_name
 from motes.tracing.program import walk
 
 MOST_STATEMENTS = 6_000
@@ -61,8 +61,7 @@ class Translator:
         self._kept: list[Any] = []
         self._names: dict[tuple[str, str], Scalar] = {}
         self._factors: dict[str, Sequence[Scalar]] = {}
-        self._done: dict[Any, Sequence[Any]] = {}
-        self._lives: dict[int, Live] = {}
+        self._shared = LeftToJax()
 
     def inputs(self, first: int, shape: tuple[int, ...]) -> np.ndarray:
         """Name the inputs of one particle, from row `first` on."""
@@ -101,7 +100,7 @@ class Translator:
 
     def constant(self, variable: Any, value: Any) -> Any:
         """Return an array that the program holds."""
-        return value if isinstance(value, Tracer) or value.size > SMALL else _plain(value)
+        return value if isinstance(value, Tracer) or value.size > SMALL else plain(value)
 
     @located
     def step(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
@@ -121,26 +120,9 @@ class Translator:
         if shared and eqn.primitive.name == keys.NUMBERED and eqn.params["shape"] == (1,):
             return [_array([keys.numbered(self._named, self.scalars(jax.random.key_data(operands[0])))], (1,))]
         if shared:
-            return self._left_to_jax(eqn, operands)
+            return self._shared(eqn, operands)
         parts = control(eqn, operands)
         return self._plain(eqn, operands) if parts is None else self._controlled(eqn.primitive.name, parts)
-
-    def _left_to_jax(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
-        """Let JAX work out what all particles share, once: what is the same has one name, and a table is handed over once."""
-        mark = _mark(eqn, operands)
-        if mark in self._done:
-            return self._done[mark]
-        results = _by_jax(eqn, operands)
-        self._kept += [*operands, *results]  # an id is only good as long as its object lives
-        if any(isinstance(result, Tracer) for result in results):
-            lives = live_after(eqn, operands, [self._live(value) for value in operands])
-            self._lives |= {id(result): live for result, live in zip(results, lives, strict=True)}
-        if mark is not None:
-            self._done[mark] = results
-        return results
-
-    def _live(self, value: Any) -> Live:
-        return self._lives.get(id(value)) if isinstance(value, Tracer) else live_in(value)
 
     def _controlled(self, name: str, parts: Any) -> Sequence[Any]:
         if isinstance(parts, Branches):
@@ -183,7 +165,7 @@ class Translator:
             self.parameters.append(value)
             self._kept.append(value)  # an id is only good as long as its object lives
             slots = [Scalar(f"p{first + i}", kind) for i in range(int(np.size(value)))]
-            live = self._live(value)
+            live = self._shared.live(value)
             if live is not None:
                 slots = [slot if lives else Scalar(literal(0, kind), kind) for slot, lives in zip(slots, live.flat, strict=True)]
             self._slots[id(value)] = _array(slots, np.shape(value))
@@ -250,7 +232,7 @@ class Translator:
             own = self.scalars(value)
             numbers.append(np.arange(len(elements), len(elements) + own.size, dtype=np.int32).reshape(own.shape))
             elements += list(own.flat)
-        moved = _by_jax(eqn, numbers)
+        moved = by_jax(eqn, numbers)
         return [_array([elements[j] for j in np.asarray(m).flat], np.shape(m)) for m in moved]
 
     def _reduced(self, name: str, operand: np.ndarray, axes: Sequence[int]) -> np.ndarray:
@@ -341,32 +323,6 @@ def _array(elements: list[Scalar], shape: Sequence[int]) -> np.ndarray:
     for i, element in enumerate(elements):
         made[i] = element
     return made.reshape(tuple(shape))
-
-
-def _mark(eqn: Any, operands: Sequence[Any]) -> Any:
-    """What two equations have in common that give the same; None where that cannot be told."""
-    small = [isinstance(value, np.ndarray) and value.size <= SMALL for value in operands]
-    values = [(value.dtype, value.shape, value.tobytes()) if few else id(value) for value, few in zip(operands, small, strict=True)]
-    mark = (eqn.primitive, *eqn.params.items(), *values)
-    try:
-        hash(mark)
-    except TypeError:
-        return None
-    return None if eqn.effects else mark
-
-
-def _by_jax(eqn: Any, operands: list[Any]) -> Sequence[Any]:
-    """Let JAX work out an operation: at once where all is known, else as part of the program that is being traced."""
-    if any(isinstance(value, Tracer) for value in operands):
-        return worked_out(eqn, operands)
-    return [_plain(value) for value in known.worked_out(eqn, operands)]
-
-
-def _plain(value: Any) -> Any:
-    """Make a known array a NumPy one (keys stay as they are)."""
-    if isinstance(value, Tracer) or jnp.issubdtype(value.dtype, jax.dtypes.extended):
-        return value
-    return np.asarray(value)
 
 
 def traced(function: Callable[..., Any], leaves: Sequence[Any], n: int) -> Any:

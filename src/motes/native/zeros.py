@@ -43,12 +43,12 @@ def live_after(eqn: Any, operands: Sequence[Any], lives: Sequence[Live]) -> list
         where = MOVES.get(name, lambda i: False)
         if any(isinstance(value, Tracer) for i, value in enumerate(operands) if where(i)):
             return nothing
-        numbers = [value if where(i) else _numbers(value, live) for i, (value, live) in enumerate(zip(operands, lives, strict=True))]
+        numbers = [value if where(i) else _stand_in(value, live) for i, (value, live) in enumerate(zip(operands, lives, strict=True))]
         return [np.asarray(result) != 0 for result in known.worked_out(eqn, numbers)]
     return nothing
 
 
-def _numbers(value: Any, live: Live) -> np.ndarray:
+def _stand_in(value: Any, live: Live) -> np.ndarray:
     return np.ones(np.shape(value), value.dtype) if live is None else live.astype(value.dtype)
 
 
