@@ -256,3 +256,15 @@ def test_without_a_compiler_jax_does_the_work(compiler, reason, tmp_path):
     done = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=120, env=surroundings)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("jax\n") and reason in done.stdout
+
+
+@needs_compiler
+def test_zeros_in_a_matrix_of_dynamics_shorten_the_kernel():
+    def operations(A):
+        model = mo.StateSpaceModel(mo.Gaussian(jnp.zeros(3), jnp.eye(3)), mo.LinearGaussian(A, jnp.eye(3)),
+                                   mo.AdditiveGaussian(lambda x, u, t: jnp.sin(x[:1]), [[0.1]]))  # fmt: skip
+        stages = dict(mo.explain(mo.ParticleFilter(n=2000), model).stages)
+        return int(stages["move"].split()[2])
+
+    assert operations(np.tri(3)) < operations(np.ones((3, 3)))
+    assert operations(np.eye(3)) < operations(np.tri(3))

@@ -279,3 +279,39 @@ def test_programs_in_which_particles_meet_are_refused(name):
 def test_unknown_operations_are_refused(program):
     with pytest.raises(Untranslatable):
         natively(program, X)
+
+
+def long(x):
+    """More operations than one part of a kernel has; a truth and a whole number go from part to part."""
+    large, cell = x[0] > 0, whole(3 * x[1])
+    for k in range(150):
+        x = jnp.stack([0.9 * x[0] + jnp.sin(x[1] + 0.01 * k), 0.9 * x[1] - 0.1 * x[2] ** 2, 0.5 * x[2] + 0.1 * x[0]])
+    return jnp.stack([jnp.where(large, x[0], x[1]), x[1] + cell, x[2] + HEIGHTS[jnp.clip(cell + 9, 0, 18), 7]])
+
+
+@needs_compiler
+def test_a_long_program_in_parts_gives_the_same():
+    wanted, found = by_jax(over(long), X)[0], natively(over(long), X)[0]
+    assert np.allclose(found, wanted, rtol=1e-4, atol=1e-4)
+    assert stage.movement(over(long), [jnp.asarray(X)]).source.count("noinline") > 2
+
+
+@needs_compiler
+def test_what_is_zero_whatever_the_numbers_are_costs_nothing():
+    triangle = np.tri(3, dtype=bool)
+
+    def size(mask):
+        def traced(matrix):
+            return jnp.zeros(stage.movement(over(lambda x: jnp.where(mask, matrix, 0).T @ x), [jnp.asarray(X)]).size)
+
+        return jax.eval_shape(traced, jnp.asarray(A)).size
+
+    assert size(triangle) == 6
+    assert size(np.ones((3, 3), bool)) == 9
+
+
+@needs_compiler
+def test_the_same_is_worked_out_once_and_a_sum_with_a_product_rounded_once():
+    found = stage.movement(over(lambda x: x * jnp.exp(x[0]) + jnp.exp(x[0])), [jnp.asarray(X)])
+    assert found.source.count("motes::exp") == 1
+    assert found.source.count("motes::fma") == 3

@@ -15,6 +15,8 @@ from motes.core import engine, lapack
 
 _EXACT = Precision.HIGHEST
 _MOST_ENTRIES = 256
+_FEW_ROWS = 8
+"""Up to so many rows one triangle, entry by entry, takes half the time of whole columns; beyond, it takes compilers long."""
 
 
 def _align(a: jax.Array, b: jax.Array, small_axes: int) -> tuple[jax.Array, jax.Array]:
@@ -91,10 +93,18 @@ def symmetric(a: jax.Array) -> jax.Array:
 
 def sandwich(a: jax.Array, p: jax.Array) -> jax.Array:
     """A P A', symmetric up to one rounding for symmetric P."""
-    return _mirrored(product_transposed(product(a, p), a))
+    left = product(a, p)
+    if left.ndim == 2:
+        return mirrored(product_transposed(left, a))
+    left = jax.lax.optimization_barrier(left)  # compilers would work it out again for every entry that uses it
+    if not (0 < a.shape[0] <= _FEW_ROWS and a.shape[1]):
+        return mirrored(product_transposed(left, a))
+    rows, right = range(a.shape[0]), a if a.ndim == 3 else a[..., None]
+    lower = [[total([left[i, j] * right[k, j] for j in range(a.shape[1])], left[0, 0]) for k in range(i + 1)] for i in rows]
+    return jnp.stack([jnp.stack([lower[max(i, k)][min(i, k)] for k in rows]) for i in rows])
 
 
-def _mirrored(a: jax.Array) -> jax.Array:
+def mirrored(a: jax.Array) -> jax.Array:
     """Lower triangle twice, not the mean of both: compilers contract the sums in a mean differently for an entry and its mirror image."""
     lower = np.tri(a.shape[0], dtype=bool)
     return jnp.where(lower if a.ndim == 2 else lower[..., None], a, transpose(a))
@@ -112,7 +122,7 @@ def reach(a: jax.Array, deviations: jax.Array) -> jax.Array:
 
 def rank_update(p: jax.Array, v: jax.Array, scale: jax.Array | float = 1.0) -> jax.Array:
     """P + s v v' for v `(i, *n)` and s `()` or `(n,)`, negative to take away; symmetric up to one rounding for symmetric P."""
-    return _mirrored(add(p, v[:, None] * v[None, :] * scale))
+    return mirrored(add(p, v[:, None] * v[None, :] * scale))
 
 
 def identity_like(a: jax.Array) -> jax.Array:
@@ -230,8 +240,10 @@ def solve_lower(lower: jax.Array, b: jax.Array) -> jax.Array:
     """Solve L z = b for b `(i, *n)` or `(i, j, *n)`; a zero pivot gives a zero component (least effort on a singular factor)."""
     rows: list[jax.Array] = []
     for i in range(lower.shape[0]):
-        known = sum(lower[i, j] * row for j, row in enumerate(rows))
-        rows.append((b[i] - known) * inverse(lower[i, i]))
+        rest = b[i] - sum(lower[i, j] * row for j, row in enumerate(rows))
+        # a vector of each particle's own is divided: compilers work inverses out again for every row that uses one
+        own = b.ndim < lower.ndim
+        rows.append(rest / jnp.where(lower[i, i] > 0, lower[i, i], jnp.inf) if own else rest * inverse(lower[i, i]))
     return jnp.stack(rows) if rows else b
 
 

@@ -10,7 +10,7 @@ from motes.core import engine as engines
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.filters.interface import Filter
-from motes.filters.setup import setup
+from motes.filters.setup import canonical_parts, setup
 from motes.models.interface import Model
 from motes.native import report
 
@@ -52,8 +52,9 @@ def explain(filter: Filter, model: Any, inputs: Inputs = None, y: Any = None) ->
         ready = setup(key, filter, model, u, y)
         return ready.step(ready.begin(y, u)[0], y, u)
 
+    known = canonical_parts(filter, model, inputs, given)  # as `run` has them
     chosen = engines.chosen()
     with engines.using("auto" if chosen == "jax" else chosen), report.collected(quiet=True) as notes:
-        jax.eval_shape(once, jax.random.key(0), filter, model, given, inputs)
+        jax.eval_shape(once, jax.random.key(0), *known, given, inputs)
         report.complete(notes, type(filter).__name__)
     return Explanation(chosen, tuple(sorted(notes.items())))

@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, linalg, random
 from motes.core.logspace import uniform_weights
@@ -49,6 +50,8 @@ class LocalModel:
         affine_dynamics: whether slope and noise of the dynamics are the same at every state.
         shared_sensor_slope: whether the slope of the sensor in the other states is.
         circular: indices of the states that are angles.
+        moved_by: for each state, which states its dynamics use: elsewhere their slope is zero.
+        seen: which states the sensor uses.
     """
 
     dynamics: AdditiveGaussian
@@ -59,6 +62,8 @@ class LocalModel:
     affine_dynamics: bool = static()
     shared_sensor_slope: bool = static()
     circular: tuple[int, ...] = static()
+    moved_by: tuple[tuple[bool, ...], ...] = static()
+    seen: tuple[bool, ...] = static()
 
 
 @record
@@ -146,7 +151,8 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         moving = varying(traced, linear, size).get("sensor slope")
         shared_sensor_slope = moving is None or not moving[:size].any()
         nonlinear = tuple(i for i in range(size) if i not in linear)
-        about = (nonlinear, linear, not bends, shared_sensor_slope, model.circular)
+        used = (tuple(map(tuple, traced.moved_by.tolist())), tuple(traced.direct.tolist()))
+        about = (nonlinear, linear, not bends, shared_sensor_slope, model.circular, *used)
         return LocalModel(model.dynamics, model.sensor, model.initial, *about)  # type: ignore[arg-type]
 
     def init(self, key: jax.Array, model: LocalModel) -> Mixture:
@@ -171,14 +177,19 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         shared = _once(t, lambda: affine(model.dynamics, example, u, t)[1:]) if model.affine_dynamics else None
 
         def move(noise_key: jax.Array, law: Mixture) -> Mixture:
+            parts = _by_one_triangle(law.parts)
             if regressed:
-                return replace(law, parts=through_on(model.dynamics, model.nonlinear, law.parts, u, t))
+                return replace(law, parts=through_on(model.dynamics, model.nonlinear, parts, u, t))
             if shared is None:
-                return replace(law, parts=Taylor().through(model.dynamics, law.parts, u, t))
-            return replace(law, parts=Linearized(model.dynamics.means(law.parts.center, u, t), *shared).over(law.parts))
+                return replace(law, parts=Taylor().through(model.dynamics, parts, u, t))
+            slope, noise = shared
+            slope = jnp.where(np.array(model.moved_by), slope, 0)
+            return replace(law, parts=Linearized(model.dynamics.means(parts.center, u, t), slope, noise).over(parts))
 
         def selected_and_split(law: Mixture) -> Mixture:
-            return resample_and_move(keys, self.scheme, self.policy, law, self.kernels.fitted(law, model.nonlinear))
+            split = self.kernels.fitted(law, model.nonlinear)
+            smaller = lambda key, law: split(key, replace(law, parts=_by_one_triangle(law.parts)))  # noqa: E731
+            return resample_and_move(keys, self.scheme, self.policy, law, smaller)
 
         due = t % (self.every or (10 if model.affine_dynamics else 1)) == 0
         # 2. predict; nothing is resampled
@@ -193,17 +204,19 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         shared = _once(t, lambda: slope_in(sensor, model.linear, example, u, t)) if model.shared_sensor_slope else None
 
         def likelihood_of(law: Mixture) -> tuple[Mixture, jax.Array, jax.Array]:
-            X, R = law.parts.center, matrix_over(sensor.Q, law.parts.center, u, t)
+            before = _by_one_triangle(law.parts)
+            X, R = before.center, matrix_over(sensor.Q, before.center, u, t)
             if self.slope == "sigma":
-                cov = law.parts.covariance
+                cov = before.covariance
                 factor = linalg.cholesky(linalg.take(linalg.take(cov, model.nonlinear), model.nonlinear, axis=1))
                 prediction, scaled_slope, unexplained = regressed_on(sensor, model.nonlinear, X, factor, u, t)
                 slope_nonlinear, R = unscaled(scaled_slope, factor), linalg.add(unexplained, R)
             else:
                 prediction, slope_nonlinear = sensor.means(X, u, t), slope_in(sensor, model.nonlinear, X, u, t)
-            slope_linear = slope_in(sensor, model.linear, X, u, t) if shared is None else shared
+            sees = np.array(model.seen)[list(model.linear)]
+            slope_linear = slope_in(sensor, model.linear, X, u, t) if shared is None else jnp.where(sees, shared, 0)
             parts = ((model.nonlinear, slope_nonlinear), (model.linear, slope_linear))
-            done = law.parts.corrected_in_turn(sensor.residual(y, prediction), parts, R, measured_in(y, R))
+            done = before.corrected_in_turn(sensor.residual(y, prediction), parts, R, measured_in(y, R))
             return replace(law, parts=done.law), done.log_evidence, done.max_log_evidence
 
         after, info = update_weights(state, likelihood_of)
@@ -212,6 +225,11 @@ class KalmanParticleKernelFilter(Gated, TwoStageFilter):
         predicted = Taylor().through(sensor, few, u, t)
         found = alarm.of_mixture(sensor.angles, predicted.center, predicted.covariance, state.log_weights[some], y)
         return after, with_innovation(info, found)
+
+
+def _by_one_triangle(laws: Gaussian) -> Gaussian:
+    """Read covariances by their lower triangles: native kernels then load no other."""
+    return Gaussian(laws.center, linalg.mirrored(laws.covariance))
 
 
 def _once(t: Any, work: Callable[[], Any]) -> Any:

@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, linalg
 from motes.core.record import record, static
@@ -203,9 +204,11 @@ class LinearGaussian(AdditiveGaussian):
         A: `(z, x)`, or a function of (x, u, t) that returns it.
         Q: covariance `(z, z)`, or a function that returns it.
         angles: components of z that are angles in radians.
+        live: which elements of A can be other than zero, row by row, where the library has looked before it compiles; None for all.
     """
 
     A: MatrixLike  # type: ignore[misc]
+    live: tuple[tuple[bool, ...], ...] | None = static(default=None)
 
     def __init__(self, A: MatrixLike, Q: MatrixLike, angles: tuple[int, ...] = ()):
         """Check what can be known without a model.
@@ -219,14 +222,19 @@ class LinearGaussian(AdditiveGaussian):
             rows = jnp.shape(A)[0]
             checks.shape("LinearGaussian Q", self.Q, (rows, rows), "(rows of A)")
         object.__setattr__(self, "A", A)
+        object.__setattr__(self, "live", None)
 
     def mean(self, x: jax.Array, u: Any, t: Any) -> jax.Array:
         """A x, `(z,)`."""
-        return matrix(self.A, x, u, t) @ x
+        return self._marked(matrix(self.A, x, u, t)) @ x
 
     def means(self, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """A x of each particle, `(z, n)`."""
-        return linalg.times_vector(matrix_over(self.A, X, u, t), X)
+        return linalg.times_vector(self._marked(matrix_over(self.A, X, u, t)), X)
+
+    def _marked(self, A: jax.Array) -> jax.Array:
+        """Have who reads the traced program see which elements are zero."""
+        return A if self.live is None else jnp.where(np.array(self.live), A, 0)
 
 
 def _measured(value: jax.Array, cov: jax.Array | None = None) -> jax.Array | None:

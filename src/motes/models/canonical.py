@@ -11,7 +11,9 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from motes.core.checks import is_concrete
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, LinearGaussian
 from motes.laws.custom import Custom
 from motes.laws.independent import Stacked, Together
@@ -20,6 +22,7 @@ from motes.laws.switching import SwitchingDynamics, SwitchingSensor
 from motes.models.interface import Model, Wrap, exchanged
 from motes.tracing.identity import canonical_function
 
+_MOST_ELEMENTS = 4096
 SOME = 3
 """Particles that a function of all at once is traced with."""
 M = TypeVar("M", bound=Model)
@@ -67,7 +70,16 @@ def canonical_conditional(name: str, part: Conditional, x: Any, u: Any, value: A
     if type(part) is Custom:
         return exchanged(part, _canonical_custom(name, part, x, u, value))
     fields = _FUNCTIONS.get(type(part), ())
-    return exchanged(part, {field: canonical_function(getattr(part, field), (x, u, t), f"{name} {field}(x, u, t)") for field in fields})
+    wanted = {field: canonical_function(getattr(part, field), (x, u, t), f"{name} {field}(x, u, t)") for field in fields}
+    return exchanged(part, wanted | ({"live": _live_in(part.A)} if isinstance(part, LinearGaussian) else {}))
+
+
+def _live_in(A: Any) -> tuple[tuple[bool, ...], ...] | None:
+    """Tell which elements of a matrix are not zero, where some are and its numbers are known; derivatives want all of them."""
+    if callable(A) or not is_concrete(A) or np.size(A) > _MOST_ELEMENTS:
+        return None
+    found = np.asarray(A) != 0
+    return None if found.all() else tuple(map(tuple, found.tolist()))
 
 
 def _canonical_custom(name: str, part: Custom, x: Any, u: Any, value: Any) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The stages of filters with clouds on the native engine: each as one fused kernel where the model translates."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,7 +15,7 @@ from motes.native import blocks, report
 from motes.native.rules import Untranslatable
 from motes.native.stage import Stage, call_move, call_weigh, judgement, movement
 from motes.native.translate import traced
-from motes.resampling.policy import Policy
+from motes.resampling.policy import Never, Policy
 from motes.resampling.schemes import Scheme
 
 
@@ -70,7 +71,7 @@ def resample_and_move(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, clo
     def function(*lanes: jax.Array) -> list[jax.Array]:
         return parts.apart(move(keys[1], parts.cloud(lanes)))
 
-    stage = _attempt("move", movement, function, parts)
+    stage = _attempt("move", partial(movement, resampled=not isinstance(policy, Never)), function, parts)
     if stage is None:
         return None
     program = traced(function, parts.lanes, log_weights.shape[0])

@@ -64,10 +64,10 @@ def _special() -> tuple[str, ...]:
     """Return what is asked of this compiler and for this processor.
 
     Compilers use half of the widest registers unless told otherwise. GCC does not vectorize the branch that is left where it takes out of
-    another one what is worked out in both.
+    another one what is worked out in both, nor loops with branches of its own making for what follows from a comparison.
     """
     wide = ("-mprefer-vector-width=512",) if b"avx512f" in processor() else ()
-    return (*wide, "-fno-tree-pre") if b"Free Software Foundation" in _maker() else wide
+    return (*wide, "-fno-tree-pre", "-fno-thread-jumps") if b"Free Software Foundation" in _maker() else wide
 
 
 def _required() -> tuple[str, ...]:

@@ -1,6 +1,5 @@
 """A stage of a filter as one native kernel: the traced functions of the model, fused with random numbers, gathering and weighing."""
 
-import re
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from motes.native import lanes
 from motes.native.compile import begun, call_kernel
+from motes.native.parts import WORDS, in_parts
 from motes.native.rules import REALS, Untranslatable, kind_of
 from motes.native.translate import Translator, is_lane, traced
 from motes.tracing.program import walk
@@ -46,15 +46,20 @@ class Stage(NamedTuple):
         return self.words, self.tables
 
 
-def movement(function: Function, leaves: Sequence[jax.Array]) -> Stage:
+def movement(function: Function, leaves: Sequence[jax.Array], resampled: bool = True) -> Stage:
     """Translate a function of the arrays of a cloud that returns the same arrays, moved.
+
+    Args:
+        function: gives the arrays.
+        leaves: the arrays.
+        resampled: whether the particles may have ancestors other than themselves.
 
     Raises:
         Untranslatable: it cannot be; the text says why.
         CompileError: there is no compiler, or it failed.
     """
     translator, outputs = _translated(function, leaves)
-    return _compiled("move", translator, leaves, outputs, [])
+    return _compiled("move", translator, leaves, outputs, [], "ancestors[i]" if resampled else "first + i")
 
 
 def judgement(function: Function, leaves: Sequence[jax.Array]) -> Stage:
@@ -66,7 +71,7 @@ def judgement(function: Function, leaves: Sequence[jax.Array]) -> Stage:
     """
     translator, (likelihood, max_log_likelihood, *outputs) = _translated(function, leaves)
     weighing = [translator.scalars(value).reshape(-1)[0] for value in (likelihood, max_log_likelihood)]
-    return _compiled("weigh", translator, leaves, outputs, weighing)
+    return _compiled("weigh", translator, leaves, outputs, weighing, "first + i")
 
 
 def _translated(function: Function, leaves: Sequence[jax.Array]) -> tuple[Translator, list[Any]]:
@@ -85,8 +90,10 @@ def _translated(function: Function, leaves: Sequence[jax.Array]) -> tuple[Transl
     return translator, walk(single, inputs, translator)
 
 
-def _compiled(kind: str, translator: Translator, leaves: Sequence[jax.Array], outputs: Sequence[Any], weighing: Sequence[Any]) -> Stage:
-    """Write, compile and register the kernel."""
+def _compiled(
+    kind: str, translator: Translator, leaves: Sequence[jax.Array], outputs: Sequence[Any], weighing: Sequence[Any], place: str
+) -> Stage:
+    """Write, compile and register the kernel; `place` is that of a particle in the arrays, as C++."""
     rest = [jnp.asarray(value) for value in outputs[len(leaves) :] if not is_lane(value)]
     if len(rest) != len(outputs) - len(leaves):
         raise Untranslatable("a value for all particles that depends on one")
@@ -107,58 +114,80 @@ def _compiled(kind: str, translator: Translator, leaves: Sequence[jax.Array], ou
         assignments += [f"{name}[i] = {scalar.text};" for name, scalar in zip(("likelihood", "maximum"), weighing, strict=True)]
     elif not shapes:
         raise Untranslatable("dynamics that move nothing")
-    source = _source(kind, translator, [(_rows(leaf), leaf.ndim) for leaf in leaves], shapes, assignments)
+    statements = translator.needed(assignments)
+    inputs = [(_rows(leaf), leaf.ndim) for leaf in leaves]
+    loads = [f"const {translator.real} x{j} = r{j}[{place}];" for j in range(sum(rows for rows, _ in inputs))]
+    source = _source(kind, translator, [*loads, *statements], inputs, shapes, assignments)
     begun(source)
-    return Stage(kind, source, translator.words(), translator.tables, changed, rest, len(translator.statements))
+    return Stage(kind, source, translator.words(), translator.tables, changed, rest, len(statements))
 
 
 def _rows(leaf: Any) -> int:
     return int(np.prod(leaf.shape[:-1], dtype=int))
 
 
-def _source(kind: str, translator: Translator, leaves: list[tuple[int, int]], outs: list[tuple[int, int]], assignments: list[str]) -> str:
+def _source(
+    kind: str,
+    translator: Translator,
+    statements: list[str],
+    leaves: list[tuple[int, int]],
+    outs: list[tuple[int, int]],
+    assignments: list[str],
+) -> str:
     """Put the C++ together; `cpp/stage.hpp` says what each name is for."""
     count, made = sum(rows for rows, _ in leaves), sum(rows for rows, _ in outs)
-    text = "\n      ".join([*translator.statements, *assignments])
-    words = set(re.findall(r"\w+", text))
-    used = [j for j in range(count) if f"x{j}" in words]
     real = translator.real
-    loads = [f"const {real}* __restrict r{j} = rows.in[{j}];" for j in used]
-    loads += [f"{real}* __restrict y{j} = rows.out[{j}] + first;" for j in range(made)]
-    loads += translator.pointers()
-    gathers = [f"const {real} x{j} = r{j}[a];" for j in used]
-    numbers = translator.declarations()
-    draws = "\n    ".join([*numbers, *translator.draws])
-    constants = "\n    ".join([*numbers, *loads])
-    body = "\n      ".join(gathers)
-    source = "ancestors[i]" if kind == "move" else "first + i"
+    given = [f"const {real}* __restrict r{j} = rows.in[{j}];" for j in range(count)]
+    given += [f"{real}* __restrict y{j} = rows.out[{j}] + first;" for j in range(made)]
+    given += [*translator.declarations(), *translator.pointers()]
+    parts = in_parts(statements, assignments)
+    bodies = "".join(
+        f"""
+  static __attribute__((noinline)) void part{k}(MOTES_LANES, Kept& kept) {{
+    {_lines(_used(given, body), 4)}
+#pragma omp simd
+    for (int i = 0; i < m; i++) {{
+      {_lines(body, 6)}
+    }}
+  }}"""
+        for k, body in enumerate(parts.bodies)
+    )
     lists = {"ROWS": [rows for rows, _ in leaves], "OUT_ROWS": [rows for rows, _ in outs], "OUT_RANKS": [rank for _, rank in outs],
              "TABLE_BYTES": [table.dtype.itemsize for table in translator.tables]}  # fmt: skip
-    arrays = "\n  ".join(f"static constexpr int {name}[] = {{{', '.join(map(str, [*values, 0]))}}};" for name, values in lists.items())
+    arrays = [f"static constexpr int {name}[] = {{{', '.join(map(str, [*values, 0]))}}};" for name, values in lists.items()]
     return f"""#define MOTES_REAL {real}
 #include "stage.hpp"
 using namespace motes;
 struct Model {{
   static constexpr int LEAVES = {len(leaves)}, OUTS = {len(outs)}, IN_ROWS = {count}, OUT_ROWS_ALL = {made};
-  static constexpr int NOISE = {translator.rows}, TABLES = {len(translator.tables)};
-  {arrays}
+  static constexpr int NOISE = {translator.rows}, TABLES = {len(translator.tables)}, SIZE = {len(statements) - count};
+  {_lines(arrays, 2)}
   static void draw(const uint32_t* P, uint32_t begin, Real (*noise)[BLOCK]) {{
-    {draws}
+    {_lines([*_used(translator.declarations(), translator.draws), *translator.draws], 4)}
   }}
-  static void lanes(const uint32_t* P, const Rows<Model>& rows, const int32_t* __restrict ancestors, int64_t first, int m,
-                    const Real (*__restrict noise)[BLOCK], Real* __restrict likelihood, Real* __restrict maximum) {{
-    {constants}
-#pragma omp simd
-    for (int i = 0; i < m; i++) {{
-      const {"int32_t" if kind == "move" else "int64_t"} a = {source};
-      {body}
-      {text}
+  struct Kept {{
+    {_lines(parts.kept, 4)}
+  }};{bodies}
+  static void lanes(MOTES_LANES) {{
+    Kept kept;
+    for (int at = 0; at < m; at += {parts.lanes}) {{
+      {_lines([f"part{k}(MOTES_PIECE({parts.lanes}), kept);" for k in range(len(parts.bodies))], 6)}
     }}
   }}
 }};
 static void run(const Frame& frame, const Team& team) {{ motes::{kind}<Model>(frame, team); }}
 MOTES_KERNEL({kind}, run)
 """
+
+
+def _lines(lines: Sequence[str], indented: int) -> str:
+    return ("\n" + " " * indented).join(lines)
+
+
+def _used(declarations: Sequence[str], body: Sequence[str]) -> list[str]:
+    """Return the declarations of names that are used."""
+    words = set(WORDS.findall(" ".join(body)))
+    return [line for line in declarations if WORDS.findall(line.split("=")[0])[-1] in words]
 
 
 def call_move(stage: Stage, shared: Shared, ancestors: jax.Array, leaves: Sequence[jax.Array]) -> list[jax.Array]:

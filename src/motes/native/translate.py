@@ -15,11 +15,13 @@ from jax.core import Tracer
 
 from motes.core import random
 from motes.native import keys
+from motes.native.parts import needed
 from motes.native.rules import LONG, MOVES, REALS, REDUCTIONS, Scalar, Untranslatable, formula, kind_of, literal, located
+from motes.native.shared import LeftToJax, by_jax, plain
 from motes.native.tables import LookUp
 from motes.native.written_out import WRITTEN_OUT, Writer
-from motes.tracing import known
-from motes.tracing.internals import Branches, Scan, Solve, called, control, has_own_mapping, jitted_name, worked_out
+from motes.native.zeros import SMALL, is_zero, simpler
+from motes.tracing.internals import Branches, Scan, Solve, called, control, has_own_mapping, jitted_name
 from motes.tracing.program import walk
 
 MOST_STATEMENTS = 6_000
@@ -56,14 +58,23 @@ class Translator:
         self.tables: list[jax.Array] = []
         self.draws: list[str] = []
         self.rows = 0
-        self._count = 0
         self._slots: dict[int, np.ndarray] = {}
         self._named_tables: dict[int, str] = {}
         self._kept: list[Any] = []
+        self._names: dict[tuple[str, str], Scalar] = {}
+        self._factors: dict[str, Sequence[Scalar]] = {}
+        self._shared = LeftToJax()
 
     def inputs(self, first: int, shape: tuple[int, ...]) -> np.ndarray:
         """Name the inputs of one particle, from row `first` on."""
         return _array([Scalar(f"x{first + i}", self.real) for i in range(int(np.prod(shape, dtype=int)))], shape)
+
+    def needed(self, ends: Sequence[str]) -> list[str]:
+        """Return the statements that some last ones need."""
+        kept = needed(self.statements, ends)
+        if len(kept) > MOST_STATEMENTS:
+            raise Untranslatable(f"more than {MOST_STATEMENTS} scalar operations")
+        return kept
 
     def declarations(self) -> list[str]:
         """C++ that gives the parameters their names and types."""
@@ -96,13 +107,13 @@ class Translator:
 
     def constant(self, variable: Any, value: Any) -> Any:
         """Return an array that the program holds."""
-        return value
+        return value if isinstance(value, Tracer) or value.size > SMALL else plain(value)
 
     @located
     def step(self, eqn: Any, operands: list[Any]) -> Sequence[Any]:
         """Translate an equation."""
         results = self._equation(eqn, operands)
-        if len(self.statements) > MOST_STATEMENTS:
+        if len(self.statements) > 2 * MOST_STATEMENTS:  # half of them, such as a second triangle, may not be needed
             raise Untranslatable(f"more than {MOST_STATEMENTS} scalar operations")
         return results
 
@@ -116,7 +127,7 @@ class Translator:
         if shared and eqn.primitive.name == keys.NUMBERED and eqn.params["shape"] == (1,):
             return [_array([keys.numbered(self._named, self.scalars(jax.random.key_data(operands[0])))], (1,))]
         if shared:
-            return _by_jax(eqn, operands)
+            return self._shared(eqn, operands)
         parts = control(eqn, operands)
         return self._plain(eqn, operands) if parts is None else self._controlled(eqn.primitive.name, parts)
 
@@ -153,7 +164,7 @@ class Translator:
         """Return a value as an array of scalars; what JAX works out becomes parameters."""
         if is_lane(value):
             return value
-        if isinstance(value, np.ndarray) and value.size <= 64:
+        if isinstance(value, np.ndarray) and (value.size <= 64 or value.dtype == bool):
             kind = kind_of(value.dtype)
             return _array([Scalar(literal(v, kind), kind) for v in value.reshape(-1)], value.shape)
         if id(value) not in self._slots:
@@ -161,13 +172,20 @@ class Translator:
             first = sum(int(np.size(p)) for p in self.parameters)
             self.parameters.append(value)
             self._kept.append(value)  # an id is only good as long as its object lives
-            self._slots[id(value)] = _array([Scalar(f"p{first + i}", kind) for i in range(int(np.size(value)))], np.shape(value))
+            slots = [Scalar(f"p{first + i}", kind) for i in range(int(np.size(value)))]
+            live = self._shared.live(value)
+            if live is not None:
+                slots = [slot if lives else Scalar(literal(0, kind), kind) for slot, lives in zip(slots, live.flat, strict=True)]
+            self._slots[id(value)] = _array(slots, np.shape(value))
         return self._slots[id(value)]
 
     def _named(self, kind: str, text: str) -> Scalar:
-        self._count += 1
-        self.statements.append(f"const {kind} v{self._count} = {text};")
-        return Scalar(f"v{self._count}", kind)
+        """Name an expression; the same expression has one name."""
+        if (kind, text) not in self._names:
+            name = f"v{len(self.statements) + 1}"
+            self.statements.append(f"const {kind} {name} = {text};")
+            self._names[kind, text] = Scalar(name, kind)
+        return self._names[kind, text]
 
     def _elementwise(self, name: str, operands: list[np.ndarray], params: dict[str, Any]) -> np.ndarray:
         wide = np.broadcast_arrays(*operands)
@@ -178,9 +196,33 @@ class Translator:
         found = formula(name, [operand.flat[0].kind for operand in operands], params)
         if found is None:
             raise Untranslatable(f"the operation {name}")
-        text, kind = found
         together = zip(*(operand.flat for operand in wide), strict=True)
-        return _array([self._named(kind, text.format(*(one.text for one in each))) for each in together], wide[0].shape)
+        return _array([self._operation(name, each, *found) for each in together], wide[0].shape)
+
+    def _operation(self, name: str, operands: Sequence[Scalar], text: str, kind: str) -> Scalar:
+        found = simpler(name, operands)
+        if isinstance(found, Scalar):
+            return found
+        if found is None and kind in REALS:
+            found = self._rounded_once(name, operands)
+        made = self._named(kind, text.format(*(one.text for one in operands)) if found is None else found)
+        if name == "mul" and kind in REALS:
+            self._factors[made.text] = operands
+        return made
+
+    def _rounded_once(self, name: str, operands: Sequence[Scalar]) -> str | None:
+        """Fuse the sum of a product and a number, as XLA does; factors stand in one order, so that equal sums of products have one name."""
+        if name == "mul":
+            return " * ".join(sorted(operand.text for operand in operands))
+        if name not in ("add", "add_any", "sub"):
+            return None
+        a, b = (operand.text for operand in operands)
+        minus = "-" if name == "sub" else ""
+        for product, rest, sign in ((b, a, minus), (a, minus + b, "")):
+            if product in self._factors:
+                x, y = sorted(factor.text for factor in self._factors[product])
+                return f"motes::fma({sign}{x}, {y}, {rest})"
+        return None
 
     def _moved(self, eqn: Any, operands: list[Any]) -> list[np.ndarray]:
         """Find where each element goes by moving their numbers instead."""
@@ -198,7 +240,7 @@ class Translator:
             own = self.scalars(value)
             numbers.append(np.arange(len(elements), len(elements) + own.size, dtype=np.int32).reshape(own.shape))
             elements += list(own.flat)
-        moved = _by_jax(eqn, numbers)
+        moved = by_jax(eqn, numbers)
         return [_array([elements[j] for j in np.asarray(m).flat], np.shape(m)) for m in moved]
 
     def _reduced(self, name: str, operand: np.ndarray, axes: Sequence[int]) -> np.ndarray:
@@ -231,14 +273,17 @@ class Translator:
         return _array([Scalar(f"({kind}){scalar.text}", kind) for scalar in scalars.flat], scalars.shape)
 
     def _inner_product(self, x: np.ndarray, y: np.ndarray) -> Scalar:
-        if not len(x):
-            return Scalar(literal(0, self.real), self.real)
-        if x[0].kind not in REALS:
+        kind = x[0].kind if len(x) else self.real
+        if kind not in REALS:
             raise Untranslatable("a matrix product of whole numbers")
-        text = f"{x[0].text} * {y[0].text}"
-        for one, other in zip(x[1:], y[1:], strict=True):
-            text = f"motes::fma({one.text}, {other.text}, {text})"
-        return self._named(x[0].kind, text)
+        terms = [(one, other) for one, other in zip(x, y, strict=True) if not (is_zero(one) or is_zero(other))]
+        if not terms:
+            return Scalar(literal(0, kind), kind)
+        products = [self._operation("mul", term, "", kind) for term in terms]
+        total = products[0]
+        for product in products[1:]:
+            total = self._operation("add", (total, product), "{0} + {1}", kind)
+        return total
 
     def _branches(self, parts: Branches) -> list[np.ndarray]:
         """Work out every branch and select."""
@@ -296,20 +341,6 @@ def _array(elements: list[Scalar], shape: Sequence[int]) -> np.ndarray:
     for i, element in enumerate(elements):
         made[i] = element
     return made.reshape(tuple(shape))
-
-
-def _by_jax(eqn: Any, operands: list[Any]) -> Sequence[Any]:
-    """Let JAX work out an operation: at once where all is known, else as part of the program that is being traced."""
-    if any(isinstance(value, Tracer) for value in operands):
-        return worked_out(eqn, operands)
-    return [_plain(value) for value in known.worked_out(eqn, operands)]
-
-
-def _plain(value: Any) -> Any:
-    """Make a known array a NumPy one (keys stay as they are)."""
-    if isinstance(value, Tracer) or jnp.issubdtype(value.dtype, jax.dtypes.extended):
-        return value
-    return np.asarray(value)
 
 
 def traced(function: Callable[..., Any], leaves: Sequence[Any], n: int) -> Any:

@@ -171,8 +171,8 @@ static inline void choose(const Team& team, const Real* log_weights, Real u, Rea
 
 // Runs a body for each run of a batch: many runs are shared out over the threads, few are worked through with all threads on each.
 template <class Body>
-static void for_each_run(const Team& team, const Batch& batch, int64_t n, Body body) {
-  if (batch.count >= 2 * team.size() || n < ALONE * BLOCK) {
+static void for_each_run(const Team& team, const Batch& batch, int64_t n, Body body, int64_t alone = ALONE) {
+  if (batch.count >= 2 * team.size() || blocks_of(n) < alone) {
     Team single = team.single();
     team.each(batch.count, 2, [=](int64_t run) { body(run, single); });
   } else {
@@ -186,7 +186,7 @@ struct Seen { const Real *likelihood, *maximum; };
 // `prepare(batch, run, n)` gives a function of (block, likelihood, maximum) that says where the log likelihoods of a block and the
 // largest that they could be stand; it may fill the two arrays that it is given.
 template <class Prepare>
-static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare) {
+static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare, int64_t alone = ALONE) {
   Operand out = frame.ret(0);
   Batch batch(out, 1);
   int64_t n = out.dims[out.rank - 1], blocks = blocks_of(n);
@@ -196,14 +196,14 @@ static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare) {
     auto see = prepare(batch, run, n);
     Scratch memory(sizeof(Tally) * blocks);
     Tally* tallies = memory.as<Tally>();
-    own.each(blocks, ALONE, [=](int64_t b) {
+    own.each(blocks, alone, [=](int64_t b) {
       alignas(64) Real likelihood[BLOCK], maximum[BLOCK];
       Seen seen = see(b, likelihood, maximum);
       tallies[b] = tally(before + b * BLOCK, seen.likelihood, seen.maximum, joint + b * BLOCK, length_of(b, n));
     });
     Judgement found = judge(tallies, blocks, batch.of<Real>(frame.ret(1), run));
     own.each(blocks, 4 * ALONE, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); });
-  });
+  }, alone);
 }
 
 }  // namespace motes
