@@ -3,6 +3,8 @@
 from typing import Any
 
 from motes.core import checks
+from motes.core.record import replace
+from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveNoise, Conditional
 from motes.laws.custom import Custom
 from motes.models import jump_markov
@@ -79,8 +81,13 @@ def as_jump_markov(asked_by: str, model: Any) -> JumpMarkovModel:
     """
     found = jump_markov.as_jump_markov(checks.instance(f"{asked_by} model", model, Model, "a model such as JumpMarkovModel"))
     for part in found.models:
-        _check_moments(asked_by, part)
+        _check_moments(asked_by, of_one_plot(part))
     return found
+
+
+def of_one_plot(model: StateSpaceModel) -> StateSpaceModel:
+    """Return a model whose sensor measures sets of plots with that of one plot instead, of which Gaussian filters ask moments."""
+    return replace(model, sensor=model.sensor.sensor) if isinstance(model.sensor, Cluttered) else model
 
 
 def _check_moments(asked_by: str, model: StateSpaceModel) -> None:

@@ -186,8 +186,14 @@ class AdditiveGaussian(Conditional):
         self, value: jax.Array, X: jax.Array, u: Any, t: Any, size: jax.Array | None = None, trusted: float | None = None
     ) -> jax.Array:
         """Log density given each particle (see `Conditional`); `log_density` says what size (None: the value's) and trusted are."""
-        size, cov = jnp.abs(value) if size is None else size, matrix_over(self.Q, X, u, t)
-        return log_normal(self.residual(value, self.means(X, u, t)), cov, _measured(value, cov), size, None, trusted)
+        return self.log_prob_about(value, self.means(X, u, t), matrix_over(self.Q, X, u, t), size, trusted)
+
+    def log_prob_about(
+        self, value: jax.Array, means: jax.Array, cov: jax.Array, size: jax.Array | None = None, trusted: float | None = None
+    ) -> jax.Array:
+        """Return the same where the means `(z, n)` and the covariance `(z, z, *n)` are known already."""
+        size = jnp.abs(value) if size is None else size
+        return log_normal(self.residual(value, means), cov, _measured(value, cov), size, None, trusted)
 
     def max_log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density at a perfect fit."""

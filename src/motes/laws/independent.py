@@ -116,6 +116,12 @@ class Together(Conditional):
         """Return the sensors of which there are measurements, each with its own."""
         return [(part, value[name]) for name, part in self._by_name() if isinstance(value, Mapping) and name in value]
 
+    def packed(self, ys: Any) -> Any:
+        """Return measurements by name, those of each sensor as it computes with them."""
+        if not isinstance(ys, Mapping):
+            return ys
+        return {name: dict(self._by_name())[name].packed(own) if name in self.of_parts else own for name, own in ys.items()}
+
     def of_states(self, names: tuple[str, ...]) -> "Together":
         """Look up the states that sensors name."""
         return Together(self.of_parts, tuple(part.of_states(names) for part in self.parts))

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
+from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, LinearGaussian
 from motes.laws.custom import Custom
 from motes.laws.independent import Stacked, Together
@@ -64,6 +65,11 @@ def canonical_conditional(name: str, part: Conditional, x: Any, u: Any, value: A
         parts = [canonical_conditional(f"{name} of {which}", each, x, u, own.get(which) if isinstance(own, Mapping) else None)
                  for which, each in zip(part.of_parts, part.parts, strict=True)]  # fmt: skip
         return exchanged(part, {"parts": tuple(parts)})
+    if isinstance(part, Cluttered):
+        row = value_of(value) if isinstance(value, Observed) else value
+        row = None if row is None else jax.ShapeDtypeStruct(row.shape[1:], row.dtype)
+        sensor = canonical_conditional(f"{name} of one plot", part.sensor, x, u, row)
+        return exchanged(part, {"sensor": sensor, "detection": canonical_function(part.detection, (x, u, t), f"{name} detection(x, u, t)")})
     if type(part) is Custom:
         return exchanged(part, _canonical_custom(name, part, x, u, value))
     fields = _FUNCTIONS.get(type(part), ())

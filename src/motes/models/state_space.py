@@ -15,6 +15,7 @@ from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, MatrixLike
 from motes.laws.circular import near
+from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, check_matrix
 from motes.laws.custom import Custom
 from motes.laws.law import Law, as_law, check_size, drawn
@@ -106,6 +107,9 @@ class StateSpaceModel(Model):
         x = jax.ShapeDtypeStruct((self.size,), self.dtype)
         t = jax.ShapeDtypeStruct((), jnp.int32)
         for name, part, expected in (("dynamics", self.dynamics, self.size), ("sensor", self.sensor, None)):
+            if isinstance(part, Cluttered):
+                part.check(x, inputs_of_step, t)
+                name, part = f"{name} of one plot", part.sensor  # noqa: PLW2901 (whose functions are checked as any other's)
             if isinstance(part, AdditiveGaussian):
                 _check_moments(name, part, x, inputs_of_step, t, expected)
             elif isinstance(part, AdditiveNoise):
