@@ -277,13 +277,19 @@ def _distance(angles: tuple[int, ...], rows: jax.Array, means: jax.Array, cov: j
     return jnp.max(jnp.where(jnp.isnan(squares), 0, squares), axis=0)
 
 
+def room_for(rate: float) -> int:
+    """Plots that a scan needs room for where so many are false on average: one has more less than once in a million."""
+    needed = int(rate) + 1
+    while 1 - pdtr(needed - 1, rate) > RARE:
+        needed += 1
+    return needed
+
+
 def _ask_room(rate: jax.Array, plots: int) -> None:
     """Refuse so little room that drawn scans would not be what the model says."""
     if not checks.is_concrete(rate):
         return
-    needed = int(float(rate)) + 1
-    while 1 - pdtr(needed - 1, float(rate)) > RARE:
-        needed += 1
+    needed = room_for(float(rate))
     if plots < needed:
         checks.refuse("Cluttered plots", f"at least {needed}, since scans of {float(rate):g} false plots on average have up to so many",
                       plots)  # fmt: skip
