@@ -47,8 +47,8 @@ class OneGaussian(Gated):
         """
         name = type(self).__name__
         model = as_state_space(name, model)
-        one = of_one_plot(model)
-        _ = as_linear_model(name, one, u) if self.rule.exact else as_moment_model(name, one)
+        for one in of_one_plot(model):
+            _ = as_linear_model(name, one, u) if self.rule.exact else as_moment_model(name, one)
         self.rule.check_size(name, model.size)
         return model
 

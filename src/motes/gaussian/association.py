@@ -14,9 +14,10 @@ import jax.numpy as jnp
 
 from motes.core import linalg
 from motes.gaussian.rule import Rule
-from motes.laws.cluttered import Cluttered
+from motes.laws.cluttered import CHUNK, Cluttered
 from motes.laws.conditional import Conditional
 from motes.laws.gaussian import Correction, Gaussian
+from motes.laws.independent import Together
 
 
 def conditioned(rule: Rule, sensor: Conditional, law: Gaussian, y: Any, u: Any, t: Any) -> Correction:
@@ -33,16 +34,54 @@ def conditioned(rule: Rule, sensor: Conditional, law: Gaussian, y: Any, u: Any, 
     Returns:
         The correction, `count` 0 of a scan: no innovation has a freedom of so many components.
     """
+    if isinstance(sensor, Together):
+        return _in_turn(rule, sensor, law, y, u, t)
     if not isinstance(sensor, Cluttered):
         return rule.measured(sensor, law, y, u, t)
     shared, probability = sensor.shared(y.value), sensor.detected(law.center, u, t)
     hit, miss = jnp.log(probability), shared.missed + jnp.log1p(-probability)
-    each = jax.vmap(lambda z: rule.measured(sensor.sensor, law, z, u, t))(y.value)
-    gains = shared.gains.reshape(-1, *[1] * (law.center.ndim - 1))
+    rows, gains, own = y.value, shared.gains, sensor.sensor
+
+    def over(rows: jax.Array, gains: jax.Array) -> Correction:
+        each = jax.vmap(lambda z: rule.measured(own, law, z, u, t))(rows)
+        done = _mixture(law, each, hit + gains.reshape(-1, *[1] * (law.center.ndim - 1)), miss)
+        return done._replace(log_evidence=shared.base + done.log_evidence, max_log_evidence=shared.base + done.max_log_evidence)
+
+    if rows.shape[0] <= CHUNK:
+        return over(rows, gains)
+    # of many plots those that no Gaussian can tell from clutter are left out, where few are left then
+    expected = rule.through(own, law, u, t)
+    means, cov = (expected.center[:, None], expected.covariance) if law.center.ndim == 1 else (expected.center, expected.covariance)
+    wanted = sensor.wanted(rows, gains, jnp.min(miss), means, cov)
+    order = jnp.argsort(~wanted)
+    few = order[:CHUNK]
+    return jax.lax.cond(jnp.sum(wanted) <= CHUNK, lambda: over(rows[few], gains[few]), lambda: over(rows, gains))
+
+
+def _in_turn(rule: Rule, sensor: Together, law: Gaussian, y: Any, u: Any, t: Any) -> Correction:
+    """Condition on what each of several sensors measured, one after the other."""
+    evidence, highest = (jnp.zeros(law.center.shape[1:], law.center.dtype),) * 2
+    for part, own, there in sensor.measured(y):
+        done = conditioned(rule, part, law, own, u, t)
+        law = jax.tree.map(lambda new, old, there=there: jnp.where(there, new, old), done.law, law)
+        evidence = evidence + jnp.where(there, done.log_evidence, 0)
+        highest = highest + jnp.where(there, done.max_log_evidence, 0)
+    return Correction(law, evidence, highest)
+
+
+def _mixture(law: Gaussian, each: Correction, gains: jax.Array, miss: jax.Array) -> Correction:
+    """Keep mean and covariance of a Gaussian and of what each plot makes of it (steps 2 and 3).
+
+    Args:
+        law: before.
+        each: given each plot, the axis of plots first.
+        gains: logs of what each plot's density is multiplied by, `(K, *n)`; minus infinity where there is no plot.
+        miss: log weight of no plot.
+    """
 
     def joined(log_density: jax.Array) -> jax.Array:
         none = jnp.broadcast_to(miss, (1, *log_density.shape[1:]))
-        return jnp.concatenate([none, jnp.where(jnp.isfinite(gains), hit + gains + log_density, -jnp.inf)])
+        return jnp.concatenate([none, jnp.where(jnp.isfinite(gains), gains + log_density, -jnp.inf)])
 
     terms = joined(each.log_evidence)
     total = jax.nn.logsumexp(terms, axis=0)
@@ -56,4 +95,4 @@ def conditioned(rule: Rule, sensor: Conditional, law: Gaussian, y: Any, u: Any, 
     # where nothing explains the scan the law stays: zero weight would not hide moments of zero
     lost = ~jnp.isfinite(total)
     after = Gaussian(jnp.where(lost, law.center, law.center + middle), jnp.where(lost, covs[0], linalg.symmetric(spread)))
-    return Correction(after, shared.base + total, shared.base + jax.nn.logsumexp(joined(each.max_log_evidence), axis=0))
+    return Correction(after, total, jax.nn.logsumexp(joined(each.max_log_evidence), axis=0))

@@ -20,7 +20,7 @@ from motes.laws.circular import wrap
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, matrix_over, over_particles
 from motes.laws.custom import Custom
 from motes.laws.density import max_log_normal
-from motes.laws.law import Law, as_law, check_size
+from motes.laws.law import Law, as_law, check_size, drawn
 from motes.laws.observed import Observed, value_of
 from motes.laws.scans import with_room
 
@@ -130,6 +130,18 @@ class Cluttered(Conditional):
         leaves_out = self.law is not None and self.law.marginalizes and self.sensor.marginalizes
         return with_room(ys, self.plots, leaves_out)
 
+    def silence(self, steps: int) -> Observed:
+        """Return so many steps without a scan.
+
+        Raises:
+            MotesError: neither clutter nor sensor say how many components a plot has.
+        """
+        known = isinstance(self.sensor, AdditiveGaussian) and not callable(self.sensor.Q)
+        if self.law is None and not known:
+            return super().silence(steps)
+        size = jnp.shape(self.sensor.Q)[0] if known else drawn(self.law).shape[0]  # type: ignore[attr-defined]
+        return Observed(np.full((steps, self.plots, size), np.nan), np.zeros(steps, bool))
+
     def check(self, x: Any, u: Any, t: Any) -> None:
         """Run detection and clutter on shapes alone and refuse what does not fit.
 
@@ -184,7 +196,9 @@ class Cluttered(Conditional):
         total = jnp.broadcast_to(miss, X.shape[-1:])
         if rows.shape[0] <= CHUNK:
             return shared.base + _with_plots(total, hit, seen.density, rows, shared.gains)
-        wanted = self._wanted(rows, shared.gains, jnp.min(jnp.where(jnp.isnan(total), jnp.inf, total)), seen)
+        wanted = jnp.isfinite(shared.gains)
+        if seen.means is not None and seen.cov is not None:
+            wanted = self.wanted(rows, shared.gains, jnp.min(jnp.where(jnp.isnan(total), jnp.inf, total)), seen.means, seen.cov)
         order = jnp.argsort(~wanted)
         chunks = -(-rows.shape[0] // CHUNK)
         room = chunks * CHUNK - rows.shape[0]
@@ -207,16 +221,21 @@ class Cluttered(Conditional):
         means, cov = sensor.means(X, u, t), matrix_over(sensor.Q, X, u, t)
         return _OfPlots(lambda z: sensor.log_prob_about(z, means, cov), means, cov)
 
-    def _wanted(self, rows: jax.Array, gains: jax.Array, floor: jax.Array, seen: "_OfPlots") -> jax.Array:
-        """Tell of each plot whether it can be seen in the likelihood of any particle, whose logs are `floor` at least; bool `(K,)`."""
-        there = jnp.isfinite(gains)
-        if seen.means is None or seen.cov is None:
-            return there
-        peak = jnp.max(max_log_normal(jnp.zeros(rows.shape[1:], rows.dtype), seen.cov))
-        most = gains + peak - 0.5 * _distance(self.sensor.angles, rows, seen.means, seen.cov)
-        # all that are left out together stay below the rounding of the least likely particle
+    def wanted(self, rows: jax.Array, gains: jax.Array, floor: jax.Array, means: jax.Array, cov: jax.Array) -> jax.Array:
+        """Tell of each plot whether it can be seen in the likelihood of any of n particles or Gaussians; bool `(K,)`.
+
+        Args:
+            rows: the scan `(K, z)`.
+            gains: see `Shared`.
+            floor: below all log likelihoods, less `Shared.base`.
+            means: predicted plots `(z, n)`.
+            cov: their covariance, `(z, z)` or `(z, z, n)`.
+        """
+        peak = jnp.max(max_log_normal(jnp.zeros((rows.shape[1], *cov.shape[2:]), rows.dtype), cov))
+        most = gains + peak - 0.5 * _distance(self.sensor.angles, rows, means, cov)
+        # all that are left out together stay below the rounding of the least likely one
         unseen = floor + np.log(0.5 * float(jnp.finfo(rows.dtype).eps) / rows.shape[0])
-        return there & ~(most < unseen)
+        return jnp.isfinite(gains) & ~(most < unseen)
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> Observed:
         """Draw one scan for each particle, plots `(K, z, n)`, those that are not there NaN, in an order that tells nothing."""

@@ -67,6 +67,15 @@ class Conditional(ABC):
         """Return measurements as they come, time axis first, in the form in which they are computed with; as they are by default."""
         return ys
 
+    def silence(self, steps: int) -> Any:
+        """Return measurements of so many steps in which nothing was measured, in the form in which they are computed with.
+
+        Raises:
+            MotesError: their form is not known.
+        """
+        checks.refuse("ys", f"what {type(self).__name__} measures, NaN where it measured nothing", "None",
+                      "Leave the sensor out of all steps, or give NaN.")
+
     @abstractmethod
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Return the law given one state `(x,)`."""

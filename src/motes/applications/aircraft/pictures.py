@@ -6,6 +6,7 @@ import numpy as np
 
 from motes.applications.aircraft.scenario import Track
 from motes.filters.history import History
+from motes.laws.observed import value_of
 from motes.plotting.figures import ESTIMATE, INERTIAL, TRUE, legend_below, new_figure, tidy
 
 
@@ -44,7 +45,7 @@ def track_figure(history: History, job: Track) -> Any:
 
 
 def _plane(axes: Any, history: History, job: Track) -> None:
-    distance, azimuth = np.asarray(job.ys, np.float64).T / [[1e3], [1.0]]
+    distance, azimuth = np.asarray(value_of(job.ys), np.float64).reshape(-1, 2).T / [[1e3], [1.0]]
     axes.plot(distance * np.cos(azimuth), distance * np.sin(azimuth), ".", color="0.55", markersize=2.5, label="plot")
     axes.plot(*(np.asarray(job.truth)[:, :2].T / 1e3), color=TRUE, linewidth=2.2, label="truth")
     axes.plot(*(np.asarray(history.mean)[:, :2].T / 1e3), color=ESTIMATE, linewidth=1.0, label="estimate")
