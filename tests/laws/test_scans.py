@@ -156,3 +156,17 @@ def test_filters_that_cannot_take_scans_say_so(filter, words):
 def test_a_density_says_not_where_plots_are_drawn():
     with pytest.raises(mo.MotesError, match="Cluttered clutter: expected a pair .*it is simulated here"):
         mo.simulate(0, model(clutter=0.01), 3)
+
+
+def test_native_kernels_weigh_scans_of_few_plots_and_say_where_they_do_not():
+    few, many = (model(clutter=(rate, REGION), plots=plots) for rate, plots in ((0.1, 6), (30.0, 70)))
+    filter = mo.ParticleFilter(n=2_000)
+    with mo.engine("native"):
+        told = [dict(mo.explain(filter, one, y=ONE).stages) for one in (few, many)]
+    assert any("native" in text for text in told[0].values())
+    ys = mo.simulate(2, few, 6)[1]
+    first = []
+    for name in ("jax", "native"):
+        with mo.engine(name):
+            first.append(mo.run(0, filter, few, ys).info.log_evidence[0])
+    np.testing.assert_allclose(first[0], first[1], rtol=1e-4)

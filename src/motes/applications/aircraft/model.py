@@ -71,7 +71,7 @@ class Radar:
         own = AdditiveGaussian(plot, jnp.diag(jnp.array([self.distance**2, self.azimuth**2])), angles=(1,))
         if not self.false:
             return own
-        region = Uniform([0.0, -jnp.pi], [self.farthest, jnp.pi])
+        region = Uniform(jnp.array([0.0, -jnp.pi]), jnp.array([self.farthest, jnp.pi]))
         return Cluttered(own, self.detection, clutter=(self.false, region), plots=self.room)
 
 
