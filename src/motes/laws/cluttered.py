@@ -171,28 +171,32 @@ class Cluttered(Conditional):
             return jnp.asarray(self.detection, X.dtype)
         return over_particles(self.detection, X, u, t) if X.ndim > 1 else jnp.asarray(self.detection(X, u, t)).astype(X.dtype)
 
+    def log_intensity(self, rows: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Log intensity of false plots at those of a scan `(K, z)`, `(K,)`, and log probability of none, `()`, 0 where it is not known."""
+        if self.law is None:
+            found = jnp.broadcast_to(jnp.log(self.density), rows.shape[:1]), jnp.zeros(())
+        else:
+            found = jnp.log(self.rate) + jax.vmap(self.law.log_prob)(rows), -self.rate
+        return found[0].astype(rows.dtype), found[1].astype(rows.dtype)
+
     def shared(self, rows: jax.Array) -> Shared:
         """Work out what all particles share of a scan `(K, z)`."""
         there = ~jnp.all(jnp.isnan(rows), axis=1)
-        if self.law is None:
-            log_intensity, base = jnp.broadcast_to(jnp.log(self.density), there.shape), jnp.zeros(())
-        else:
-            log_intensity, base = jnp.log(self.rate) + jax.vmap(self.law.log_prob)(rows), -self.rate
-        log_intensity = log_intensity.astype(rows.dtype)
+        log_intensity, base = self.log_intensity(rows)
         # a plot where no false ones can be is the target's, and of two such at least one is nobody's
         possible = jnp.isfinite(log_intensity)
         certain = jnp.sum(there & ~possible)
-        base = base.astype(rows.dtype) + jnp.sum(jnp.where(there & possible, log_intensity, 0))
+        base = base + jnp.sum(jnp.where(there & possible, log_intensity, 0))
         alone = jnp.where(possible, -jnp.inf, 0)
         gains = jnp.where(certain == 0, -log_intensity, jnp.where(certain == 1, alone, -jnp.inf))
         return Shared(base, jnp.where(certain == 0, 0, -jnp.inf).astype(rows.dtype), jnp.where(there, gains, -jnp.inf).astype(rows.dtype))
 
     def log_prob(self, value: Any, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density of a scan given each particle, `(n,)`, with respect to that of plots z in their units, per plot."""
-        rows = value_of(value)
+        rows = jnp.asarray(value_of(value))
         probability, shared = self.detected(X, u, t), self.shared(rows)
         hit, miss = jnp.log(probability), jnp.log1p(-probability) + shared.missed
-        seen = self._of_plots(X, u, t)
+        seen = self.of_plots(X, u, t)
         total = jnp.broadcast_to(miss, X.shape[-1:])
         if rows.shape[0] <= CHUNK:
             return shared.base + _with_plots(total, hit, seen.density, rows, shared.gains)
@@ -214,12 +218,13 @@ class Cluttered(Conditional):
         total = _with_plots(total, hit, seen.density, ordered[0], gains[0])
         return shared.base + jax.lax.scan(chunk, total, (ordered[1:], gains[1:], needed[1:]))[0]
 
-    def _of_plots(self, X: jax.Array, u: Any, t: Any) -> "_OfPlots":
+    def of_plots(self, X: jax.Array, u: Any, t: Any) -> "OfPlots":
+        """Return what weighs plots given states `(x, n)` of the target."""
         sensor = self.sensor
         if not isinstance(sensor, AdditiveGaussian):
-            return _OfPlots(lambda z: sensor.log_prob(z, X, u, t), None, None)
+            return OfPlots(lambda z: sensor.log_prob(z, X, u, t), None, None)
         means, cov = sensor.means(X, u, t), matrix_over(sensor.Q, X, u, t)
-        return _OfPlots(lambda z: sensor.log_prob_about(z, means, cov), means, cov)
+        return OfPlots(lambda z: sensor.log_prob_about(z, means, cov), means, cov)
 
     def wanted(self, rows: jax.Array, gains: jax.Array, floor: jax.Array, means: jax.Array, cov: jax.Array) -> jax.Array:
         """Tell of each plot whether it can be seen in the likelihood of any of n particles or Gaussians; bool `(K,)`.
@@ -239,25 +244,31 @@ class Cluttered(Conditional):
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> Observed:
         """Draw one scan for each particle, plots `(K, z, n)`, those that are not there NaN, in an order that tells nothing."""
-        law, n = self.law, X.shape[-1]
+        return self.among_false(key, *(each[None] for each in self.own_plot(key, X, u, t)))
+
+    def own_plot(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> tuple[jax.Array, jax.Array]:
+        """Draw the target's own plot `(z, n)`, and whether there is one, `(n,)`."""
+        seen = random.uniform(random.child(key, 1), X.shape[-1:], X.dtype) < self.detected(X, u, t)
+        return self.sensor.sample(random.child(key, 0), X, u, t), seen
+
+    def among_false(self, key: jax.Array, own: jax.Array, seen: jax.Array) -> Observed:
+        """Draw false plots, and put those of m targets `(m, z, n)` that are seen `(m, n)` among them."""
+        law, (m, _, n), dtype = self.law, own.shape, own.dtype
         if law is None:
             checks.refuse("Cluttered clutter", "a pair (false plots per scan, law of one) (it is simulated here)", "a density")
-        keys = [random.child(key, place) for place in range(5)]
-        own = self.sensor.sample(keys[0], X, u, t)
-        seen = random.uniform(keys[1], (n,), X.dtype) < self.detected(X, u, t)
-        false = law.sample(keys[2], self.plots * n).astype(X.dtype).reshape(-1, self.plots, n)
+        keys = [random.child(key, place) for place in range(2, 5)]
+        false = law.sample(keys[0], self.plots * n).astype(dtype).reshape(-1, self.plots, n)
         # the number by inversion; what has no room, for which `_ask_room` keeps it rare, is lost
-        counts = jnp.arange(self.plots - 1, dtype=X.dtype)
+        counts = jnp.arange(self.plots - m, dtype=dtype)
         below = jnp.cumsum(jnp.exp(counts * jnp.log(self.rate) - self.rate - jax.lax.lgamma(counts + 1)))
-        number = jnp.sum(random.uniform(keys[3], (n,), X.dtype) >= below[:, None], axis=0)
-        places = jnp.arange(self.plots)[:, None]
-        there = (places < number) | ((places == self.plots - 1) & seen)
-        all_plots = jnp.where(there[:, None], jnp.swapaxes(false, 0, 1).at[-1].set(own), jnp.nan)
-        order = jnp.argsort(jnp.where(there, random.uniform(keys[4], there.shape, X.dtype), 2), axis=0)
+        number = jnp.sum(random.uniform(keys[1], (n,), dtype) >= below[:, None], axis=0)
+        there = (jnp.arange(self.plots)[:, None] < number).at[-m:].set(seen)
+        all_plots = jnp.where(there[:, None], jnp.swapaxes(false, 0, 1).at[-m:].set(own), jnp.nan)
+        order = jnp.argsort(jnp.where(there, random.uniform(keys[2], there.shape, dtype), 2), axis=0)
         return Observed(jnp.take_along_axis(all_plots, order[:, None], axis=0), jnp.ones((n,), bool))
 
 
-class _OfPlots(NamedTuple):
+class OfPlots(NamedTuple):
     """Log densities `(n,)` of a plot given each particle; predicted plots and their covariance, None where no Gaussian says them."""
 
     density: Callable[[jax.Array], jax.Array]

@@ -17,6 +17,7 @@ from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional,
 from motes.laws.custom import Custom
 from motes.laws.independent import Stacked, Together
 from motes.laws.observed import Observed, value_of
+from motes.laws.several_targets import SeveralTargets
 from motes.laws.switching import SwitchingDynamics, SwitchingSensor
 from motes.models.interface import Model, Wrap, exchanged
 from motes.tracing.identity import canonical_function
@@ -65,6 +66,9 @@ def canonical_conditional(name: str, part: Conditional, x: Any, u: Any, value: A
         parts = [canonical_conditional(f"{name} of {which}", each, x, u, own.get(which) if isinstance(own, Mapping) else None)
                  for which, each in zip(part.of_parts, part.parts, strict=True)]  # fmt: skip
         return exchanged(part, {"parts": tuple(parts)})
+    if isinstance(part, SeveralTargets):
+        own = jax.ShapeDtypeStruct((len(part.indices[0]),), x.dtype)
+        return exchanged(part, {"one": canonical_conditional(f"{name} of one target", part.one, own, u, value)})
     if isinstance(part, Cluttered):
         row = value_of(value) if isinstance(value, Observed) else value
         row = None if row is None else jax.ShapeDtypeStruct(row.shape[1:], row.dtype)

@@ -21,6 +21,7 @@ from motes.laws.custom import Custom
 from motes.laws.gaussian import Gaussian
 from motes.laws.independent import Together
 from motes.laws.observed import value_of
+from motes.laws.several_targets import SeveralTargets
 from motes.models.canonical import canonical
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel, as_state_space
@@ -145,6 +146,11 @@ def _states_in_density(part: Conditional, x: Any, u: Any, t: Any) -> np.ndarray:
         return seen
     if isinstance(part, Together):
         return _some([_states_in_density(each, x, u, t) for each in part.parts])
+    if isinstance(part, SeveralTargets):
+        marks = np.zeros(x.shape[0], bool)
+        for own in part.indices:
+            marks[list(own)] |= _states_in_density(part.one, jax.ShapeDtypeStruct((len(own),), x.dtype), u, t)
+        return marks
     if isinstance(part, Cluttered):
         seen = _states_in_density(part.sensor, x, u, t)
         return seen | _used(lambda part, x, u, t: part.detected(x, u, t), part, x, u, t)
