@@ -153,15 +153,15 @@ def _states_in_density(part: Conditional, x: Any, u: Any, t: Any) -> np.ndarray:
         return marks
     if isinstance(part, Cluttered):
         seen = _states_in_density(part.sensor, x, u, t)
-        return seen | _used(lambda part, x, u, t: part.detected(x, u, t), part, x, u, t)
+        return seen | _states_used(lambda part, x, u, t: part.detected(x, u, t), part, x, u, t)
     if isinstance(part, AdditiveGaussian):
-        return _used(lambda part, x, u, t: jnp.concatenate([part.mean(x, u, t), part.cov(x, u, t).ravel()]), part, x, u, t)
+        return _states_used(lambda part, x, u, t: jnp.concatenate([part.mean(x, u, t), part.cov(x, u, t).ravel()]), part, x, u, t)
     if isinstance(part, AdditiveNoise):
-        return _used(lambda part, x, u, t: part.f(x, u, t), part, x, u, t)
+        return _states_used(lambda part, x, u, t: part.f(x, u, t), part, x, u, t)
     return np.ones(x.shape[0], bool)
 
 
-def _used(function: Callable[..., Any], part: Conditional, x: Any, u: Any, t: Any) -> np.ndarray:
+def _states_used(function: Callable[..., Any], part: Conditional, x: Any, u: Any, t: Any) -> np.ndarray:
     """States `(x,)` that a function of a conditional, a state, the inputs and the time uses."""
     found = dependence(function, (part, x, u, t), ("fixed", "elements", "whole", "whole"))
     return found.uses.reshape(-1, x.shape[0] + 2).any(axis=0)[: x.shape[0]]
