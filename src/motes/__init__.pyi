@@ -41,7 +41,6 @@ from .filters.jump_markov import JumpMarkovFilter as JumpMarkovFilter
 from .filters.kalman import KalmanFilter as KalmanFilter
 from .filters.kernel import KalmanParticleKernelFilter as KalmanParticleKernelFilter
 from .filters.marginalized import MarginalizedParticleFilter as MarginalizedParticleFilter
-from .filters.marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
 from .filters.particle import ParticleFilter as ParticleFilter
 from .filters.point_mass import PointMassFilter as PointMassFilter
 from .filters.proposals import ExtendedKalmanProposal as ExtendedKalmanProposal
@@ -54,6 +53,7 @@ from .filters.square_root_kalman import SquareRootKalmanFilter as SquareRootKalm
 from .filters.stream import Stream as Stream
 from .filters.stream import stream as stream
 from .filters.unscented_kalman import UnscentedKalmanFilter as UnscentedKalmanFilter
+from .laws.cluttered import Cluttered as Cluttered
 from .laws.conditional import AdditiveGaussian as AdditiveGaussian
 from .laws.conditional import AdditiveNoise as AdditiveNoise
 from .laws.conditional import LinearGaussian as LinearGaussian
@@ -64,6 +64,7 @@ from .laws.mixture import Mixture as Mixture
 from .laws.noise import Laplace as Laplace
 from .laws.noise import StudentT as StudentT
 from .laws.noise import Uniform as Uniform
+from .laws.scans import plots as plots
 from .mcmc.chains import Chains as Chains
 from .mcmc.sample import sample as sample
 from .models import terrain as terrain
@@ -73,7 +74,6 @@ from .models.jump_markov import JumpMarkovModel as JumpMarkovModel
 from .models.mixed_linear import MixedLinearModel as MixedLinearModel
 from .models.simulate import simulate as simulate
 from .models.state_space import StateSpaceModel as StateSpaceModel
-from .models.structure import Structure as Structure
 from .models.structure import structure as structure
 from .models.times import times as times
 from .native.choice import engine as engine

@@ -12,6 +12,8 @@ ELSEWHERE = {
     "costs/calibration.py": "repeats a product of matrices that is timed",
     "filters/alarm.py": "over all steps at once, in log2(t) rounds",
     "filters/parallel.py": "over all steps at once, in log2(t) rounds",
+    "laws/cluttered.py": "over chunks of the plots of one scan",
+    "laws/several_targets.py": "over the plots of one scan",
     "mcmc/compose.py": "repeats a kernel of a Markov chain, which has no time",
     "mcmc/sample.py": "over the moves of a Markov chain, which has no time",
     "montecarlo/annealing.py": "over temperatures",

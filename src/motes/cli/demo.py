@@ -3,6 +3,7 @@
 Beside what `motes run` writes there are the files of the world and NAME.toml, which names them: to be changed and run again.
 """
 
+import importlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,13 +27,20 @@ def main(words: Sequence[str]) -> None:
         MotesError: there is none of that name, or it refuses its options.
     """
     name, rest = (words[0], words[1:]) if words and not words[0].startswith("-") else (FIRST, words)
+    name = demonstrations().get(name, name)
     if name not in applications():
-        refuse("demo", "one of " + ", ".join(applications()), repr(name))
+        refuse("demo", "one of " + ", ".join([*applications(), *demonstrations()]), repr(name))
     wish = asked(Run, [name, *rest], f"motes demo {name}")
     folder, job = carried_out(wish)
     path = folder / f"{name}.toml"
     write(path, wish, job)
     print(f"Results are in {folder}. The same from its files: motes run {path}")
+
+
+def demonstrations() -> dict[str, str]:
+    """Return the applications whose demonstration has a name of its own, by that name: `DEMO` in their settings."""
+    found = ((importlib.import_module(f"motes.applications.{name}.settings"), name) for name in applications())
+    return {settings.DEMO: name for settings, name in found if "DEMO" in vars(settings)}
 
 
 def write(path: Path, wish: Asked, job: "Job") -> None:

@@ -241,8 +241,8 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_figure(path: Path, figure: Any) -> None:
-    """Write a figure as PNG, whole or not at all."""
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=130)
+    """Write a figure as PNG, or an animation as GIF, whole or not at all."""
+    picture, moves = io.BytesIO(), path.suffix == ".gif"
+    figure.savefig(picture, format="gif" if moves else "png", dpi=80 if moves else 130)
     with whole_file(path) as file:
         file.write(picture.getvalue())

@@ -8,6 +8,7 @@ from .diagnose import Finding as Finding
 from .sets import Gospa as Gospa
 from .sets import gospa as gospa
 from .sets import ospa as ospa
+from .sets import swaps as swaps
 from .weights import LikelihoodVariance as LikelihoodVariance
 from .weights import first_ancestors as first_ancestors
 from .weights import log_likelihood_variance as log_likelihood_variance

@@ -70,6 +70,40 @@ def gospa(estimates: Any, truths: Any, cutoff: float, order: float = 2.0) -> Gos
     return Gospa(float(whole ** (1 / order)), float(pairs.sum()), missed, false)
 
 
+def swaps(estimates: Any, truths: Any, cutoff: float) -> int:
+    """Count how often a target is followed by another track than before (mismatches: Bernardin, Stiefelhagen 2008).
+
+    A track stays with its target while the two are nearer than the cutoff; the others are paired so that their distances have the least
+    sum. Two tracks that exchange their targets are two swaps.
+
+    Args:
+        estimates: points of the tracks over time, `(t, m, x)`.
+        truths: those of the targets, `(t, n, x)`.
+        cutoff: distance from which on two points are no pair.
+
+    Raises:
+        MotesError: the points do not fit each other, or the cutoff is not positive.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    shapes = [np.shape(points) for points in (estimates, truths)]
+    if len(shapes[0]) != 3 or len(shapes[1]) != 3 or shapes[0][0] != shapes[1][0]:
+        checks.refuse("swaps estimates", "points (t, m, x), at as many steps as the truths", f"shapes {shapes[0]} and {shapes[1]}")
+    count = 0
+    track_of: dict[int, int] = {}
+    for own, true in zip(np.asarray(estimates), np.asarray(truths), strict=True):
+        near = _cut("swaps", own, true, cutoff, 1.0)
+        kept = {target: track for target, track in track_of.items() if near[track, target] < cutoff}
+        free = [track for track in range(near.shape[0]) if track not in kept.values()]
+        left = [target for target in range(near.shape[1]) if target not in kept]
+        for row, column in zip(*linear_sum_assignment(near[np.ix_(free, left)]), strict=True):
+            track, target = free[row], left[column]
+            if near[track, target] < cutoff:
+                count += track_of.get(target, track) != track
+                track_of[target] = track
+    return count
+
+
 def _cut(asked_by: str, estimates: Any, truths: Any, cutoff: float, order: float) -> np.ndarray:
     """Distances `(m, n)`, at most the cutoff, to the power of the order."""
     checks.above_zero(f"{asked_by} cutoff", cutoff)

@@ -4,6 +4,7 @@ from .history import joined as joined
 from .info import Info as Info
 from .interface import TwoStageFilter as TwoStageFilter
 from .look_ahead import LookAheadFilter as LookAheadFilter
+from .marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
 from .parallel import run_in_parallel as run_in_parallel
 from .proposals import Proposal as Proposal
 from .run import run_in_chunks as run_in_chunks

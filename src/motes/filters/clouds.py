@@ -13,6 +13,7 @@ from motes.gaussian.rule import Rule
 from motes.laws.cloud import Cloud
 from motes.laws.conditional import Conditional
 from motes.laws.mode_mixture import ModeMixture
+from motes.laws.observed import Observed
 from motes.models.jump_markov import JumpMarkovModel
 from motes.native import cloudwise
 from motes.resampling import gradients
@@ -68,7 +69,10 @@ def correct_modes(rule: Rule, model: JumpMarkovModel, state: ModeMixture, y: jax
     """Correct the Gaussian of each component by the sensor of its mode, and weigh it by its predictive density of y."""
     done = measured(rule, model, state, y, u, t)
     weights, info = weigh(state.log_weights, done.log_evidence, done.max_log_evidence)
+    after = replace(state, parts=done.law, log_weights=weights)
+    if isinstance(y, Observed):
+        return after, info
     few, log_weights = alarm.few_of(state.log_weights.reshape(model.count, -1))
     predicted = expected(rule, model, state, few, u, t)
     found = alarm.of_mixture(model.models[0].sensor.angles, predicted.center, predicted.covariance, log_weights.reshape(-1), y, drawn=False)
-    return replace(state, parts=done.law, log_weights=weights), with_innovation(info, found)
+    return after, with_innovation(info, found)

@@ -23,6 +23,7 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     sensors = [part.sensor for part in model.each_mode()]
     ys = sensors[0].packed(ys)
     if isinstance(ys, Observed):
+        ys = jax.tree.map(lambda leaf: _numbers("ys", leaf, dtype) if _is_real(leaf) else leaf, ys)
         return ys, checked_inputs(inputs, steps_of(ys), "ys")
     ys = _with_rows(ys)
     whole = _stacked(ys) if isinstance(ys, (list, tuple)) and is_array(ys) else None

@@ -4,14 +4,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks
 from motes.core import engine as engines
 from motes.core.record import record, static
 from motes.core.types import Inputs
+from motes.filters.data import checked_data
 from motes.filters.interface import Filter
 from motes.filters.setup import canonical_parts, setup
 from motes.models.interface import Model
+from motes.models.state_space import at_step
 from motes.native import report
 
 
@@ -40,13 +43,16 @@ def explain(filter: Filter, model: Any, inputs: Inputs = None, y: Any = None) ->
         filter: the filter.
         model: state-space, mixed linear or jump-Markov model.
         inputs: example of the inputs of one step, where the model's functions use them.
-        y: example of a measurement `(y,)`, where the sensor is a `Custom` density.
+        y: example of a measurement `(y,)`, where the sensor is a `Custom` density; or a scan `(plots, z)` with at least one plot.
 
     Raises:
         MotesError: filter and model do not fit each other.
     """
     size = checks.instance("explain model", model, Model, "a model such as StateSpaceModel").measurement_size(inputs)
-    given = jnp.zeros((size or 1,), model.dtype) if y is None else jnp.asarray(y, model.dtype)
+    # a scan, or what else is no vector, stands as measurements of one step
+    whole = y is not None and any(part.sensor.measures_anything for part in model.each_mode())
+    rows = checked_data(model, jax.tree.map(lambda leaf: np.asarray(leaf)[None], y), None)[0] if whole else None
+    given = jnp.zeros((size or 1,), model.dtype) if y is None else jnp.asarray(y, model.dtype) if rows is None else at_step(rows, 0)
 
     def once(key: jax.Array, filter: Filter, model: Any, y: jax.Array, u: Any) -> Any:
         ready = setup(key, filter, model, u, y)

@@ -1,7 +1,8 @@
 """Gaussian filter (Ito, Xiong 2000): a Kalman filter that takes moments of the model's functions by any rule.
 
 1. Predict: mean and covariance of the dynamics over the Gaussian, plus noise (`Rule.through`).
-2. Correct: condition on y through the linear conditional that stands for the sensor over the predicted Gaussian (`Rule.measured`).
+2. Correct: condition on y through the linear conditional that stands for the sensor over the predicted Gaussian (`Rule.measured`); of a
+   scan of plots by probabilistic data association (`gaussian/association.py`).
 
 `KalmanFilter`, `ExtendedKalmanFilter`, `UnscentedKalmanFilter`, `CubatureKalmanFilter` and `GaussHermiteFilter` are this filter with one
 rule each.
@@ -15,10 +16,11 @@ from motes.core.record import record
 from motes.filters.gated import Gated
 from motes.filters.info import Info, single
 from motes.filters.interface import Guide, TwoStageFilter
-from motes.filters.needs import as_linear_model, as_moment_model
+from motes.filters.needs import as_linear_model, as_moment_model, of_one_plot
+from motes.gaussian.association import conditioned
 from motes.gaussian.rule import Rule, check_rule
 from motes.laws.gaussian import Gaussian
-from motes.models.state_space import StateSpaceModel
+from motes.models.state_space import StateSpaceModel, as_state_space
 
 
 class OneGaussian(Gated):
@@ -44,7 +46,9 @@ class OneGaussian(Gated):
                 rule does not suit the number of states.
         """
         name = type(self).__name__
-        model = as_linear_model(name, model, u) if self.rule.exact else as_moment_model(name, model)
+        model = as_state_space(name, model)
+        for one in of_one_plot(model):
+            _ = as_linear_model(name, one, u) if self.rule.exact else as_moment_model(name, one)
         self.rule.check_size(name, model.size)
         return model
 
@@ -58,7 +62,7 @@ class OneGaussian(Gated):
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Condition on y (step 2)."""
-        done = self.rule.measured(model.sensor, state, y, u, t)
+        done = conditioned(self.rule, model.sensor, state, y, u, t)
         return done.law, single(done)
 
 

@@ -80,7 +80,8 @@ def single(done: Correction) -> Info:
     """Return the record of a step of a filter whose law has no weights."""
     evidence = done.log_evidence
     _, info = weigh(jnp.zeros((1,), evidence.dtype), evidence[None], done.max_log_evidence)
-    square, freedom = 2 * (done.max_log_evidence - evidence), jnp.asarray(done.count, evidence.dtype)
+    freedom = jnp.asarray(done.count, evidence.dtype)
+    square = jnp.where(freedom > 0, 2 * (done.max_log_evidence - evidence), 0)
     return replace(info, ess=jnp.full_like(evidence, jnp.inf), nis=square, freedom=freedom)
 
 

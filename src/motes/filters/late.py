@@ -1,6 +1,7 @@
 """Measurements that come late: what is needed to go back some steps, and to come again to where one was."""
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -76,6 +77,12 @@ def joined_measurement(there: Any, y: Any) -> Any:
     if isinstance(there, Observed):
         if not bool(there.there):
             return y
+        if not bool(y.there):
+            return there
+        if isinstance(there.value, Mapping) and set(there.value) == set(y.value):
+            # of several sensors each may come at its own time
+            found = {name: joined_measurement(own, y.value[name]) for name, own in there.value.items()}
+            return Observed(found, np.ones((), bool))
         leaves = jax.tree.leaves(there.value)
         if not all(jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in leaves):
             checks.refuse("insert y", "a step without a measurement", "one that has one")

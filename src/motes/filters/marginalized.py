@@ -39,7 +39,7 @@ from motes.resampling.schemes import Scheme, Systematic
 
 @record
 class MarginalizedParticleFilter(Gated, TwoStageFilter):
-    """Marginalized particle filter; its state is a `MarginalCloud`. `RaoBlackwellizedParticleFilter` is the same.
+    """Marginalized particle filter; its state is a `MarginalCloud`. `mo.filters.RaoBlackwellizedParticleFilter` is the same.
 
     Source: Karlsson, Schon, Gustafsson 2005, Complexity analysis of the marginalized particle filter; Schon, Gustafsson, Nordlund 2005,
     Marginalized particle filters for mixed linear/nonlinear state-space models.

@@ -3,8 +3,11 @@
 from typing import Any
 
 from motes.core import checks
+from motes.core.record import replace
+from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveNoise, Conditional
 from motes.laws.custom import Custom
+from motes.laws.independent import Together
 from motes.models import jump_markov
 from motes.models.interface import Model
 from motes.models.jump_markov import JumpMarkovModel
@@ -79,8 +82,15 @@ def as_jump_markov(asked_by: str, model: Any) -> JumpMarkovModel:
     """
     found = jump_markov.as_jump_markov(checks.instance(f"{asked_by} model", model, Model, "a model such as JumpMarkovModel"))
     for part in found.models:
-        _check_moments(asked_by, part)
+        for one in of_one_plot(part):
+            _check_moments(asked_by, one)
     return found
+
+
+def of_one_plot(model: StateSpaceModel) -> list[StateSpaceModel]:
+    """Return the models of which a Gaussian filter asks moments: of each of several sensors, and of one plot where it measures sets."""
+    sensors = model.sensor.parts if isinstance(model.sensor, Together) else (model.sensor,)
+    return [replace(model, sensor=part.sensor if isinstance(part, Cluttered) else part) for part in sensors]
 
 
 def _check_moments(asked_by: str, model: StateSpaceModel) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from motes.gaussian.association import conditioned
 from motes.gaussian.rule import Rule
 from motes.laws.gaussian import Correction, Gaussian
 from motes.laws.mode_mixture import ModeMixture
@@ -41,14 +42,14 @@ def measured(rule: Rule, model: JumpMarkovModel, law: ModeMixture, y: jax.Array,
         rule: for moments.
         model: the system.
         law: its components come in m blocks of equal length, one for each mode in order.
-        y: the measurement; NaN means not measured.
+        y: the measurement; NaN means not measured; or the scan.
         u: inputs of the step.
         t: the time.
 
     Returns:
         The correction; components without weight have the highest maximum there is, so that a good fit of theirs hides no collapse.
     """
-    done = [rule.measured(part.sensor, block, y, u, t) for part, block in zip(model.models, _blocks(model, law), strict=True)]
+    done = [conditioned(rule, part.sensor, block, y, u, t) for part, block in zip(model.models, _blocks(model, law), strict=True)]
     evidence, max_log_evidence = (jnp.concatenate([getattr(one, name) for one in done]) for name in ("log_evidence", "max_log_evidence"))
     max_log_evidence = jnp.where(jnp.isfinite(law.log_weights), max_log_evidence, jnp.finfo(max_log_evidence.dtype).max)
     return Correction(_joined([one.law for one in done]), evidence, max_log_evidence)

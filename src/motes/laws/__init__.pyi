@@ -8,3 +8,4 @@ from .grid_cloud import GridCloud as GridCloud
 from .law import Law as Law
 from .marginal_cloud import MarginalCloud as MarginalCloud
 from .mode_mixture import ModeMixture as ModeMixture
+from .several_targets import SeveralTargets as SeveralTargets

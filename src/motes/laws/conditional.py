@@ -68,6 +68,15 @@ class Conditional(ABC):
         """Return measurements as they come, time axis first, in the form in which they are computed with; as they are by default."""
         return ys
 
+    def silence(self, steps: int) -> Any:
+        """Return measurements of so many steps in which nothing was measured, in the form in which they are computed with.
+
+        Raises:
+            MotesError: their form is not known.
+        """
+        checks.refuse("ys", f"what {type(self).__name__} measures, NaN where it measured nothing", "None",
+                      "Leave the sensor out of all steps, or give NaN.")
+
     @abstractmethod
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Return the law given one state `(x,)`."""
@@ -187,8 +196,14 @@ class AdditiveGaussian(Conditional):
         self, value: jax.Array, X: jax.Array, u: Any, t: Any, size: jax.Array | None = None, trusted: float | None = None
     ) -> jax.Array:
         """Log density given each particle (see `Conditional`); `log_density` says what size (None: the value's) and trusted are."""
-        size, cov = jnp.abs(value) if size is None else size, matrix_over(self.Q, X, u, t)
-        return log_normal(self.residual(value, self.means(X, u, t)), cov, _measured(value, cov), size, None, trusted)
+        return self.log_prob_about(value, self.means(X, u, t), matrix_over(self.Q, X, u, t), size, trusted)
+
+    def log_prob_about(
+        self, value: jax.Array, means: jax.Array, cov: jax.Array, size: jax.Array | None = None, trusted: float | None = None
+    ) -> jax.Array:
+        """Return the same where the means `(z, n)` and the covariance `(z, z, *n)` are known already."""
+        size = jnp.abs(value) if size is None else size
+        return log_normal(self.residual(value, means), cov, _measured(value, cov), size, None, trusted)
 
     def max_log_prob(self, value: jax.Array, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density at a perfect fit."""

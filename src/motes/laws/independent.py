@@ -116,6 +116,16 @@ class Together(Conditional):
         """Return the sensors of which there are measurements, each with its own."""
         return [(part, value[name]) for name, part in self._by_name() if isinstance(value, Mapping) and name in value]
 
+    def packed(self, ys: Any) -> Any:
+        """Return measurements by name, those of each sensor as it computes with them."""
+        if not isinstance(ys, Mapping):
+            return ys
+        parts = dict(self._by_name())
+        found = {name: parts[name].packed(own) if name in parts else own for name, own in ys.items() if own is not None}
+        silent = [name for name, own in ys.items() if own is None]
+        steps = jax.tree.leaves(found)[0].shape[0] if silent and found else 1
+        return {name: parts[name].silence(steps) if name in silent and name in parts else found.get(name) for name in ys}
+
     def of_states(self, names: tuple[str, ...]) -> "Together":
         """Look up the states that sensors name."""
         return Together(self.of_parts, tuple(part.of_states(names) for part in self.parts))
@@ -131,18 +141,18 @@ class Together(Conditional):
 
     def log_prob(self, value: Any, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Sum of the log densities of what was measured, `(n,)`."""
-        found = [jnp.where(there, part.log_prob(own, X, u, t), 0) for part, own, there in self._measured(value)]
+        found = [jnp.where(there, part.log_prob(own, X, u, t), 0) for part, own, there in self.measured(value)]
         return jnp.sum(jnp.stack([jnp.broadcast_to(one, X.shape[-1:]) for one in found]), axis=0)
 
     def max_log_prob(self, value: Any, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Sum of the largest values that the log densities can take, `(n,)`."""
-        found = [jnp.where(there, part.max_log_prob(own, X, u, t), 0) for part, own, there in self._measured(value)]
+        found = [jnp.where(there, part.max_log_prob(own, X, u, t), 0) for part, own, there in self.measured(value)]
         return jnp.sum(jnp.stack([jnp.broadcast_to(one, X.shape[-1:]) for one in found]), axis=0)
 
     def _by_name(self) -> list[tuple[str, Conditional]]:
         return list(zip(self.of_parts, self.parts, strict=True))
 
-    def _measured(self, y: Any) -> list[tuple[Conditional, Any, jax.Array]]:
+    def measured(self, y: Any) -> list[tuple[Conditional, Any, jax.Array]]:
         """Return each sensor that is in a measurement with its own, and whether that is one."""
         assert isinstance(y, Observed)
         if not isinstance(y.value, Mapping) or set(y.value) - set(self.of_parts):

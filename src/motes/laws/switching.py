@@ -132,7 +132,7 @@ class SwitchingSensor(Conditional):
     """The sensor of the mode that the state is in.
 
     Attributes:
-        parts: sensor of each mode.
+        parts: sensor of each mode, or the one that all have.
     """
 
     parts: tuple[Conditional, ...]

@@ -14,10 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core.checks import is_concrete
+from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, LinearGaussian
 from motes.laws.custom import Custom
 from motes.laws.independent import Stacked, Together
 from motes.laws.observed import Observed, value_of
+from motes.laws.several_targets import SeveralTargets
 from motes.laws.switching import SwitchingDynamics, SwitchingSensor
 from motes.models.interface import Model, Wrap, exchanged
 from motes.tracing.identity import canonical_function
@@ -67,6 +69,14 @@ def canonical_conditional(name: str, part: Conditional, x: Any, u: Any, value: A
         parts = [canonical_conditional(f"{name} of {which}", each, x, u, own.get(which) if isinstance(own, Mapping) else None)
                  for which, each in zip(part.of_parts, part.parts, strict=True)]  # fmt: skip
         return exchanged(part, {"parts": tuple(parts)})
+    if isinstance(part, SeveralTargets):
+        own = jax.ShapeDtypeStruct((len(part.indices[0]),), x.dtype)
+        return exchanged(part, {"one": canonical_conditional(f"{name} of one target", part.one, own, u, value)})
+    if isinstance(part, Cluttered):
+        row = value_of(value) if isinstance(value, Observed) else value
+        row = None if row is None else jax.ShapeDtypeStruct(row.shape[1:], row.dtype)
+        sensor = canonical_conditional(f"{name} of one plot", part.sensor, x, u, row)
+        return exchanged(part, {"sensor": sensor, "detection": canonical_function(part.detection, (x, u, t), f"{name} detection(x, u, t)")})
     if type(part) is Custom:
         return exchanged(part, _canonical_custom(name, part, x, u, value))
     fields = _FUNCTIONS.get(type(part), ())

@@ -119,10 +119,13 @@ class JumpMarkovModel(Model):
 
         A `ParticleFilter` can run it, a `PointMassFilter` too (one node for each mode), and `simulate` draws from it.
         """
+        sensors = tuple(model.sensor for model in self.models)
+        # one that all modes have is asked once
+        sensors = sensors[:1] if all(sensor == sensors[0] for sensor in sensors) else sensors
         return StateSpaceModel(
             SwitchingLaw(self.initial_mode, tuple(model.initial for model in self.models)),
             SwitchingDynamics(self.transition, tuple(model.dynamics for model in self.models), self.circular),
-            SwitchingSensor(tuple(model.sensor for model in self.models)),
+            SwitchingSensor(sensors),
             (*self.names, MODE),
         )
 

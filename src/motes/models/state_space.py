@@ -15,9 +15,11 @@ from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, MatrixLike
 from motes.laws.circular import near
+from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, check_matrix
 from motes.laws.custom import Custom
 from motes.laws.law import Law, as_law, check_size, drawn
+from motes.laws.several_targets import SeveralTargets
 from motes.models.correlated import Drive, decorrelated
 from motes.models.interface import Model, Wrap, exchanged
 
@@ -106,6 +108,11 @@ class StateSpaceModel(Model):
         x = jax.ShapeDtypeStruct((self.size,), self.dtype)
         t = jax.ShapeDtypeStruct((), jnp.int32)
         for name, part, expected in (("dynamics", self.dynamics, self.size), ("sensor", self.sensor, None)):
+            if isinstance(part, SeveralTargets):
+                x, part = jax.ShapeDtypeStruct((len(part.indices[0]),), self.dtype), part.one  # noqa: PLW2901 (checked as of one target)
+            if isinstance(part, Cluttered):
+                part.check(x, inputs_of_step, t)
+                name, part = f"{name} of one plot", part.sensor  # noqa: PLW2901 (whose functions are checked as any other's)
             if isinstance(part, AdditiveGaussian):
                 _check_moments(name, part, x, inputs_of_step, t, expected)
             elif isinstance(part, AdditiveNoise):

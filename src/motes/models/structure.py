@@ -4,7 +4,7 @@ A set of states is conditionally linear-Gaussian when dynamics and sensor are jo
 noises are Gaussian with covariances that do not depend on it, and the initial law is Gaussian. See `affinity.py` for the exact reasoning.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -15,10 +15,13 @@ import numpy as np
 from motes.core import markdown
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs
+from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional
 from motes.laws.custom import Custom
 from motes.laws.gaussian import Gaussian
+from motes.laws.independent import Together
 from motes.laws.observed import value_of
+from motes.laws.several_targets import SeveralTargets
 from motes.models.canonical import canonical
 from motes.models.mixed_linear import MixedLinearModel
 from motes.models.state_space import StateSpaceModel, as_state_space
@@ -141,10 +144,27 @@ def _states_in_density(part: Conditional, x: Any, u: Any, t: Any) -> np.ndarray:
         seen = np.zeros(x.shape[0], bool)
         seen[list(part.looks if part.states is None else part.states)] = True  # type: ignore[arg-type]
         return seen
+    if isinstance(part, Together):
+        return _some([_states_in_density(each, x, u, t) for each in part.parts])
+    if isinstance(part, SeveralTargets):
+        marks = np.zeros(x.shape[0], bool)
+        for own in part.indices:
+            marks[list(own)] |= _states_in_density(part.one, jax.ShapeDtypeStruct((len(own),), x.dtype), u, t)
+        return marks
+    if isinstance(part, Cluttered):
+        seen = _states_in_density(part.sensor, x, u, t)
+        return seen | _states_used(lambda part, x, u, t: part.detected(x, u, t), part, x, u, t)
+    if isinstance(part, AdditiveGaussian):
+        return _states_used(lambda part, x, u, t: jnp.concatenate([part.mean(x, u, t), part.cov(x, u, t).ravel()]), part, x, u, t)
     if isinstance(part, AdditiveNoise):
-        found = dependence(lambda part, x, u, t: part.f(x, u, t), (part, x, u, t), ("fixed", "elements", "whole", "whole"))
-        return found.uses.reshape(-1, x.shape[0] + 2).any(axis=0)[: x.shape[0]]
+        return _states_used(lambda part, x, u, t: part.f(x, u, t), part, x, u, t)
     return np.ones(x.shape[0], bool)
+
+
+def _states_used(function: Callable[..., Any], part: Conditional, x: Any, u: Any, t: Any) -> np.ndarray:
+    """States `(x,)` that a function of a conditional, a state, the inputs and the time uses."""
+    found = dependence(function, (part, x, u, t), ("fixed", "elements", "whole", "whole"))
+    return found.uses.reshape(-1, x.shape[0] + 2).any(axis=0)[: x.shape[0]]
 
 
 def looked_at(model: Any, inputs: Inputs, y: Any) -> Any:

@@ -97,6 +97,10 @@ def _with_steps(inputs: Inputs, seconds: np.ndarray) -> dict[str, Any]:
 
 def _spread(ys: Any, rows: list[int], steps: int) -> Any:
     """Put the measurements of one sensor at its steps of all; numbers are NaN elsewhere, and other arrays say where they are."""
+    if isinstance(ys, Observed):
+        there = np.zeros(steps, bool)
+        there[rows] = ys.there
+        return Observed(_spread(ys.value, rows, steps), there)
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(ys)]
     real = all(np.issubdtype(leaf.dtype, np.floating) or leaf.ndim < 3 for leaf in leaves)
 

@@ -38,7 +38,8 @@ def live_after(eqn: Any, operands: Sequence[Any], lives: Sequence[Live]) -> list
         return nothing
     if name in _ALONE or name in _BOTH or name == "select_n":
         full = [np.ones(np.shape(value), bool) if live is None else live for value, live in zip(operands, lives, strict=True)]
-        return [_selected(operands[0], full[1:]) if name == "select_n" else full[0] if name in _ALONE else _BOTH[name](*full)]
+        found = _selected(operands[0], full[1:]) if name == "select_n" else full[0] if name in _ALONE else _BOTH[name](*full)
+        return [np.broadcast_to(found, eqn.outvars[0].aval.shape)]
     if name in MOVES or name in _SUMS:
         where = MOVES.get(name, lambda i: False)
         if any(isinstance(value, Tracer) for i, value in enumerate(operands) if where(i)):

@@ -110,8 +110,8 @@ class Experiment:
         """
         _, ys = jax.eval_shape(self.drawn, 0)
         y = jax.tree.map(one_of, ys)
-        vector = isinstance(y, jax.ShapeDtypeStruct) and len(y.shape) == 1
-        return jax.tree.map(one_of, self.inputs), y if vector else Observed(y, jax.ShapeDtypeStruct((), bool))
+        known = isinstance(y, Observed) or (isinstance(y, jax.ShapeDtypeStruct) and len(y.shape) == 1)
+        return jax.tree.map(one_of, self.inputs), y if known else Observed(y, jax.ShapeDtypeStruct((), bool))
 
     def check(self) -> None:
         """Bring each filter and its model together, on shapes alone.

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,6 +21,7 @@ from motes.filters.history import History
 from motes.filters.interacting_multiple_model import InteractingMultipleModel
 from motes.filters.jump_markov import JumpMarkovFilter
 from motes.io.result_table import Table
+from motes.laws.observed import value_of
 from motes.plotting.plot import plot
 
 FILE = "reports.csv"
@@ -36,9 +38,14 @@ def load(settings: Settings, seed: int) -> "AircraftJob":
         FileError: the file cannot be used.
         MotesError: a setting cannot be used.
     """
-    for name in ("distance", "azimuth"):
+    for name in ("distance", "azimuth", "farthest"):
         checks.above_zero(f"plots {name}", getattr(settings.plots, name))
-    site, radar = (settings.site.east, settings.site.north), Radar(settings.plots.distance, settings.plots.azimuth)
+    asked = settings.plots
+    checks.above_zero("plots detection", asked.detection, 1)
+    if not 0 <= asked.false < 1_000:
+        checks.refuse("plots false", "a number of false plots from 0 to 1000", asked.false)
+    site = (settings.site.east, settings.site.north)
+    radar = Radar(asked.distance, asked.azimuth, asked.detection, asked.false, asked.farthest)
     reports = None if settings.data else flown_reports(seed, settings.duration)
     if reports is None:
         path = scenario.read_path(settings.data, settings.begin, settings.duration, site)
@@ -48,10 +55,11 @@ def load(settings: Settings, seed: int) -> "AircraftJob":
     times = np.cumsum(np.asarray(track.dt, np.float64))
     # beyond the end of the flight there is neither plot nor truth
     flown = times <= path.times[-1] - times[0]
-    track = replace(track, **{name: getattr(track, name)[flown] for name in ("ys", "dt", "truth", "scored")})
+    kept = ("ys", "dt", "truth", "scored")
+    track = replace(track, **{name: jax.tree.map(lambda leaf: leaf[flown], getattr(track, name)) for name in kept})
     return AircraftJob(
-        model=jumping(track.start, Flight(), radar), ys=jnp.asarray(track.ys), inputs=jnp.asarray(track.dt), track=track, reports=reports,
-        times=times[flown], keep=keep.modes,
+        model=jumping(track.start, Flight(), radar), ys=jax.tree.map(jnp.asarray, track.ys), inputs=jnp.asarray(track.dt),
+        track=track, reports=reports, times=times[flown], keep=keep.modes,
         filters={"jump_markov": JumpMarkovFilter(n=200, sampled=("turn",)), "interacting": InteractingMultipleModel()},
         counted=("east", "north"), blocks={"position": ("east", "north"), "velocity": ("v_east", "v_north")},
         lost=("position", scenario.LOST),
@@ -72,7 +80,7 @@ class AircraftJob(Job):
 
     def title(self, steps: int) -> str:
         """Return how many plots there were."""
-        seen = int((~np.isnan(np.asarray(self.ys)).any(axis=1)).sum())
+        seen = int((~np.isnan(np.asarray(value_of(self.ys))).any(axis=-1)).sum())
         return f"{seen} plots in {steps} steps over {self.times[-1]:.0f} s; errors at the plots after the first {scenario.UNSCORED}"
 
     def scores(self, history: History) -> tuple[Score, ...]:

@@ -11,8 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from motes.core.record import record
+from motes.laws.cluttered import Cluttered, room_for
 from motes.laws.conditional import AdditiveGaussian
 from motes.laws.gaussian import Gaussian
+from motes.laws.noise import Uniform
 from motes.models.jump_markov import JumpMarkovModel
 from motes.models.state_space import StateSpaceModel
 
@@ -43,19 +45,34 @@ class Flight:
 
 @record
 class Radar:
-    """Standard deviations of a plot.
+    """What a radar sees.
 
     Attributes:
-        distance: range, m.
-        azimuth: radians.
+        distance: standard deviation of the range, m.
+        azimuth: of the azimuth, radians.
+        detection: probability that the aircraft gives a plot.
+        false: expected number of false plots in a scan; 0 where the tracker gets the aircraft's own plot alone.
+        farthest: range to which false plots lie, m.
     """
 
     distance: float = 30.0
     azimuth: float = 1e-3
+    detection: float = 0.95
+    false: float = 0.0
+    farthest: float = 150e3
 
-    def sensor(self) -> AdditiveGaussian:
-        """Range and azimuth (from east, counterclockwise) of a plot, `(2,)`."""
-        return AdditiveGaussian(plot, jnp.diag(jnp.array([self.distance**2, self.azimuth**2])), angles=(1,))
+    @property
+    def room(self) -> int:
+        """Plots of a scan that there is room for."""
+        return room_for(self.false) + 1
+
+    def sensor(self) -> AdditiveGaussian | Cluttered:
+        """Range and azimuth (from east, counterclockwise) of a plot, `(2,)`, or a scan of such."""
+        own = AdditiveGaussian(plot, jnp.diag(jnp.array([self.distance**2, self.azimuth**2])), angles=(1,))
+        if not self.false:
+            return own
+        region = Uniform(jnp.array([0.0, -jnp.pi]), jnp.array([self.farthest, jnp.pi]))
+        return Cluttered(own, self.detection, clutter=(self.false, region), plots=self.room)
 
 
 def plot(x: jax.Array, u: Any, t: Any) -> jax.Array:

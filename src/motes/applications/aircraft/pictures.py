@@ -6,7 +6,11 @@ import numpy as np
 
 from motes.applications.aircraft.scenario import Track
 from motes.filters.history import History
+from motes.laws.observed import value_of
 from motes.plotting.figures import ESTIMATE, INERTIAL, TRUE, legend_below, new_figure, tidy
+
+MARGIN = 0.06
+"""Room about what the plane shows, as a share of it."""
 
 
 def track_figure(history: History, job: Track) -> Any:
@@ -44,9 +48,14 @@ def track_figure(history: History, job: Track) -> Any:
 
 
 def _plane(axes: Any, history: History, job: Track) -> None:
-    distance, azimuth = np.asarray(job.ys, np.float64).T / [[1e3], [1.0]]
+    distance, azimuth = np.asarray(value_of(job.ys), np.float64).reshape(-1, 2).T / [[1e3], [1.0]]
     axes.plot(distance * np.cos(azimuth), distance * np.sin(azimuth), ".", color="0.55", markersize=2.5, label="plot")
     axes.plot(*(np.asarray(job.truth)[:, :2].T / 1e3), color=TRUE, linewidth=2.2, label="truth")
     axes.plot(*(np.asarray(history.mean)[:, :2].T / 1e3), color=ESTIMATE, linewidth=1.0, label="estimate")
     axes.plot(0, 0, "^", color="tab:red", markersize=9, label="radar")
-    axes.set(title="Plane", xlabel="east, km", ylabel="north, km", aspect="equal")
+    # false plots lie everywhere: the picture is of the flight
+    shown = np.concatenate([np.asarray(job.truth)[:, :2] / 1e3, np.zeros((1, 2))])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    room = MARGIN * (high - low).max()
+    axes.set(title="Plane", xlabel="east, km", ylabel="north, km", aspect="equal",
+             xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))  # fmt: skip

@@ -1,7 +1,7 @@
 """A recorded flight as a job for a tracker: the true path by a smoother, radar plots drawn from it, and the score."""
 
 import os
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from motes.core import checks
 from motes.core.record import record
 from motes.io.tables import read_table
 from motes.laws.gaussian import Gaussian
+from motes.laws.observed import Observed
 
 BEGIN, DURATION = 556.0, 4800.0
 """Part of the recording that is flown unless said otherwise, seconds."""
@@ -51,14 +52,15 @@ class Track:
 
     Attributes:
         start: law of east, north and velocities by two plots.
-        ys: range and azimuth of each step, `(t, 2)`; NaN where the radar saw nothing. Those of the first step are in `start` already.
+        ys: range and azimuth of each step, `(t, 2)`, NaN where the radar saw nothing, or scans of such; those of the first step are in
+            `start` already.
         dt: duration of each step, seconds, `(t,)`.
         truth: east, north and velocities, `(t, 4)`.
         scored: whether the step counts, `(t,)`.
     """
 
     start: Gaussian
-    ys: np.ndarray
+    ys: np.ndarray | Observed
     dt: np.ndarray
     truth: np.ndarray
     scored: np.ndarray
@@ -187,14 +189,14 @@ def smoothed(times: np.ndarray, position: np.ndarray, speed: np.ndarray) -> np.n
 def track(path: Path, seed: int, steps: int, radar: Radar) -> Track:
     """Draw the plots of a radar along a path.
 
-    Plots come at intervals uniform on 1 to 5 s; 5 percent are missing, and all for 30 s in every 10 minutes. Steps beyond the end of the
-    path have no plot.
+    Plots come at intervals uniform on 1 to 5 s; some are missing, and all for 30 s in every 10 minutes. Steps beyond the end of the path
+    have no plot. Where there are false plots, steps have scans, in which the aircraft's own comes at any place.
 
     Args:
         path: the true path.
         seed: of the plots.
         steps: number of steps; 1 800 reach the end of 80 minutes.
-        radar: accuracy of the plots.
+        radar: what it sees.
 
     Raises:
         MotesError: the path is too short for a plot that is scored.
@@ -205,20 +207,35 @@ def track(path: Path, seed: int, steps: int, radar: Radar) -> Track:
     states = np.stack([np.interp(times, path.times, column) for column in path.states.T], axis=1)
     distance = np.hypot(states[:, 0], states[:, 1]) + radar.distance * rng.standard_normal(steps + 1)
     azimuth = np.arctan2(states[:, 1], states[:, 0]) + radar.azimuth * rng.standard_normal(steps + 1)
-    seen = (rng.random(steps + 1) > 0.05) & (times % 600 < 570) & (times <= path.times[-1])
+    heard = (times % 600 < 570) & (times <= path.times[-1])
+    seen = (rng.random(steps + 1) > 1 - radar.detection) & heard
     places = np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth)], axis=1)
     apart = times[1] - times[0]
     covs = [_plane(distance[i], azimuth[i], radar) for i in (0, 1)]
     mean = np.concatenate([places[1], (places[1] - places[0]) / apart])
     cov = np.block([[covs[1], covs[1] / apart], [covs[1] / apart, (covs[0] + covs[1]) / apart**2]])
-    ys = np.where(seen[1:, None], np.stack([distance, azimuth], axis=1)[1:], np.nan)
+    ys: Any = np.where(seen[1:, None], np.stack([distance, azimuth], axis=1)[1:], np.nan)
     ys[0] = np.nan
     scored = seen[1:] & (np.arange(steps) >= UNSCORED)
     if not scored.any():
         checks.refuse("track path", f"one that lasts for more than {UNSCORED} plots (5 s each at most)", f"{path.times[-1]:.0f} s")
     kind = jnp.result_type(float)
     start = Gaussian(jnp.asarray(mean, kind), jnp.asarray(cov, kind))
-    return Track(start, ys.astype(kind), np.diff(times).astype(kind), states[1:].astype(kind), scored)
+    if radar.false:
+        ys = _among_false(rng, ys, heard[1:] & (np.arange(steps) > 0), radar)
+    ys = jax.tree.map(lambda leaf: leaf.astype(kind) if leaf.dtype == float else leaf, ys)
+    return Track(start, ys, np.diff(times).astype(kind), states[1:].astype(kind), scored)
+
+
+def _among_false(rng: np.random.Generator, own: np.ndarray, heard: np.ndarray, radar: Radar) -> Observed:
+    """Return scans of the aircraft's own plots `(t, 2)` and of false ones, at the steps that are heard."""
+    places = rng.uniform([0, -np.pi], [radar.farthest, np.pi], (len(own), radar.room, 2))
+    count = np.minimum(rng.poisson(radar.false, len(own)), radar.room - 1)
+    rows = np.where(np.arange(radar.room)[:, None] < count[:, None, None], places, np.nan)
+    rows[:, -1] = np.stack([own[:, 0], (own[:, 1] + np.pi) % (2 * np.pi) - np.pi], axis=1)
+    rows[~heard] = np.nan
+    order = np.argsort(rng.random(rows.shape[:2]), axis=1)
+    return Observed(np.take_along_axis(rows, order[..., None], axis=1), heard)
 
 
 def _plane(distance: float, azimuth: float, radar: Radar) -> np.ndarray:

@@ -23,11 +23,17 @@ class Plots:
     Attributes:
         distance: standard deviation of the range, m.
         azimuth: of the azimuth, radians.
+        detection: probability that the aircraft gives one.
+        false: expected number of false plots with each, evenly over azimuth and range; with any the tracker is not told which is whose.
+        farthest: range to which they lie, m.
         steps: most plots.
     """
 
     distance: float = 30.0
     azimuth: float = 1e-3
+    detection: float = 0.95
+    false: float = 0.0
+    farthest: float = 150e3
     steps: int = 1_600
 
 

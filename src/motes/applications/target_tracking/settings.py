@@ -1,0 +1,54 @@
+"""What a user can set of the tracker, and the numbers of its radar, as records without arrays."""
+
+from dataclasses import dataclass, field
+
+DEMO = "notch"
+"""What `motes demo` shows of it: an aircraft in the radar's blind zone."""
+
+
+@dataclass(frozen=True)
+class Radar:
+    """The radar, which stands at the origin.
+
+    Attributes:
+        distance: standard deviation of the range, m.
+        azimuth: of the azimuth, radians.
+        rate: of the range rate, m/s.
+        detection: probability of detection of what is not in the notch.
+        notch: range rate below which it falls to nothing, m/s; 0 for a radar that is blind to nothing but what stands.
+        edge: over how many m/s it falls.
+        false: expected number of false plots in a scan, evenly over range, azimuth and range rate.
+        farthest: range to which plots lie, m.
+        fastest: range rate to which they do, m/s.
+    """
+
+    distance: float = 50.0
+    azimuth: float = 3e-3
+    rate: float = 2.0
+    detection: float = 0.9
+    notch: float = 25.0
+    edge: float = 2.0
+    false: float = 10.0
+    farthest: float = 60e3
+    fastest: float = 400.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Follow an aircraft by radar, also where the radar is blind to it, among false plots.
+
+    Attributes:
+        data: plots (CSV, JSON or Parquet) with the columns time (s), range (m), azimuth (degrees from north) and range_rate (m/s), in order
+            of time; those of one time are one scan, a row with a time alone a scan that saw nothing. A flight is made up where no file is
+            named.
+        truth: true states for scoring, a file with the columns time, east, north (m), v_east and v_north (m/s); none if empty.
+        period: seconds between scans; scans of the file that lie further apart are filled up with some that saw nothing, unless it is 0.
+        scans: of a flight that is made up.
+        radar: its accuracy, and what it does not see.
+    """
+
+    data: str = field(default="", metadata={"path": True})
+    truth: str = field(default="", metadata={"path": True})
+    period: float = 2.0
+    scans: int = 70
+    radar: Radar = Radar()

@@ -1,0 +1,88 @@
+"""A made-up flight into the notch: inbound, a turn across the line of sight, a leg there until the radar has lost it, a turn out."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from motes.applications.target_tracking.settings import Radar
+from motes.core import checks
+
+SPEED, BEGIN, RATE = 200.0, 34e3, (0.04, 0.06)
+"""Speed, m/s; range at which it begins, m; slowest and fastest turn, rad/s."""
+INBOUND, LEG, OUT = (32.0, 48.0), (32.0, 44.0), (0.8, 1.5)
+"""Shortest and longest inbound leg and leg across, s; angles of the turn out, rad."""
+CLOSING = 20.0
+"""Range rate at which the turn across ends: still closing by so much, m/s."""
+FINE = 20
+"""Steps of the flight between two scans."""
+
+
+class World(NamedTuple):
+    """What was flown, and what the radar saw of it.
+
+    Attributes:
+        times: of the scans, s, `(t,)`.
+        states: true states `(t, 4)`.
+        scans: plots of range, azimuth (from east) and range rate `(m, 3)` of each scan.
+    """
+
+    times: np.ndarray
+    states: np.ndarray
+    scans: list[np.ndarray]
+
+
+def flown(generator: np.random.Generator, scans: int, period: float) -> np.ndarray:
+    """Return the states `(t, 4)` of a flight at its scans."""
+    azimuth = generator.uniform(-np.pi, np.pi)
+    place, course = BEGIN * np.array([np.cos(azimuth), np.sin(azimuth)]), azimuth + np.pi + generator.uniform(-0.1, 0.1)
+    across, leg, out = generator.uniform(*INBOUND), generator.uniform(*LEG), generator.uniform(*OUT)
+    sides, rate, dt = generator.choice([-1.0, 1.0], 2), generator.uniform(*RATE), period / FINE
+    states, phase, left = [], "inbound", 0.0
+    for step in range(scans * FINE):
+        velocity = SPEED * np.array([np.cos(course), np.sin(course)])
+        if step % FINE == 0:
+            states.append([*place, *velocity])
+        if phase == "inbound" and step * dt > across:
+            phase = "turning across"
+        if phase == "turning across" and place @ velocity > -CLOSING * np.hypot(*place):
+            phase, left = "across", leg
+        if phase == "across" and left <= 0:
+            phase, left = "turning out", out
+        if phase == "turning out" and left <= 0:
+            phase = "out"
+        turn = {"turning across": sides[0] * rate, "turning out": sides[1] * rate}.get(phase, 0.0)
+        left -= dt * (rate if phase == "turning out" else 1.0)
+        course += turn * dt
+        place = place + dt * velocity
+    return np.array(states)
+
+
+def made_up(seed: int, scans: int, period: float, radar: Radar) -> World:
+    """Make a flight up, and the scans of a radar.
+
+    Args:
+        seed: of both.
+        scans: how many, at least 10.
+        period: seconds between them.
+        radar: its numbers.
+
+    Raises:
+        MotesError: there are fewer, or the period is no time.
+    """
+    if not scans >= 10:
+        checks.refuse("scans", "at least 10", scans)
+    checks.above_zero("period", period, 10.0)
+    generator = np.random.default_rng(seed)
+    states = flown(generator, scans, period)
+    distance = np.hypot(*states[:, :2].T)
+    rate = np.sum(states[:, :2] * states[:, 2:], axis=1) / distance
+    seen = generator.random(scans) < radar.detection / (1 + np.exp(-(np.abs(rate) - radar.notch) / radar.edge))
+    noise = generator.standard_normal((scans, 3)) * [radar.distance, radar.azimuth, radar.rate]
+    own = np.stack([distance, np.arctan2(states[:, 1], states[:, 0]), rate], axis=1) + noise
+    own[:, 1] = (own[:, 1] + np.pi) % (2 * np.pi) - np.pi
+    found = []
+    for step in range(scans):
+        count = generator.poisson(radar.false)
+        false = generator.uniform([0, -np.pi, -radar.fastest], [radar.farthest, np.pi, radar.fastest], (count, 3))
+        found.append(generator.permutation(np.concatenate([own[step : step + 1], false]) if seen[step] else false))
+    return World(period * np.arange(scans), states, found)

@@ -1,0 +1,169 @@
+"""Scans of several targets, a known number of them: nobody says which plot is whose (Bar-Shalom, Li 1995, section 6.2; Mahler 2007).
+
+Each target gives at most one plot, each plot is of at most one target; the likelihood of a scan sums over all associations:
+
+    p(scan | x_1 .. x_T) = exp(-rate) prod_j kappa(z_j) sum over associations of
+        prod over targets i without a plot of (1 - P_D(x_i)) times prod over targets i with plot j of P_D(x_i) p(z_j | x_i) / kappa(z_j)
+
+Plots are taken one after the other; for each set S of targets F(S) sums over the associations in which those of S have a plot by now:
+F(S) <- F(S) + sum over i in S of F(S without i) P_D(x_i) p(z_j | x_i) / kappa(z_j). That is exact, at the cost of T 2^(T - 1) sums a plot.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from motes.core import checks, linalg, random
+from motes.core.record import record, replace, static
+from motes.laws.cluttered import CHUNK, Cluttered, room_for
+from motes.laws.conditional import Conditional
+from motes.laws.law import Law
+from motes.laws.observed import Observed, value_of
+
+MOST = 6
+"""Targets whose associations are summed over; each more doubles the work."""
+NEVER = -1e30
+"""Log of what is impossible, finite so that derivatives of sums of it are zero."""
+
+
+@record
+class SeveralTargets(Conditional):
+    """A sensor whose scans hold plots of several targets, whose states follow each other in that of the model.
+
+    Particle filters weigh by the exact sum over associations, also where targets cross. The marginalized filter carries what plots do not
+    look at, for all targets.
+
+    Source: Bar-Shalom, Li 1995, Multitarget-Multisensor Tracking; Mahler 2007, Statistical Multisource-Multitarget Information Fusion.
+
+    Example:
+        >>> one = mo.Cluttered(mo.AdditiveGaussian(lambda x, u, t: x[:1], [[0.1]]), 0.9, clutter=0.01, plots=8)
+        >>> both = mo.laws.SeveralTargets(one, (("a", "v_a"), ("b", "v_b")))
+        >>> dynamics = mo.AdditiveGaussian(lambda x, u, t: x, jnp.eye(4))
+        >>> model = mo.StateSpaceModel(mo.Gaussian(jnp.zeros(4), jnp.eye(4)), dynamics, both, ("a", "v_a", "b", "v_b"))
+        >>> mo.run(0, mo.ParticleFilter(n=500), model, [jnp.array([[0.1], [1.0]]), jnp.array([[0.3]])]).mean.shape
+        (2, 4)
+
+    Attributes:
+        one: the sensor of one target among false plots, whose functions see its own states alone.
+        targets: for each target its states, by name or index, in the order of the functions.
+    """
+
+    one: Cluttered
+    targets: tuple[tuple[str | int, ...], ...] = static()
+    measures_anything = True
+
+    def __init__(self, one: Cluttered, targets: tuple[tuple[str | int, ...], ...]):
+        """Check what can be known without a model.
+
+        Raises:
+            MotesError: an argument has the wrong kind, there are no or too many targets, they have different numbers of states or share
+                some, or drawn scans would have more plots than there is room for.
+        """
+        checks.instance("SeveralTargets one", one, Cluttered, "a Cluttered sensor of one target")
+        targets = tuple(tuple(own) if isinstance(own, (tuple, list)) else (own,) for own in targets)
+        if not 1 <= len(targets) <= MOST or len({len(own) for own in targets}) > 1:
+            checks.refuse("SeveralTargets targets", f"1 to {MOST} targets of the same number of states", [len(own) for own in targets])
+        every = [state for own in targets for state in own]
+        if len(set(every)) < len(every):
+            checks.refuse("SeveralTargets targets", "states of their own", f"{next(s for s in every if every.count(s) > 1)!r} for two")
+        needed = 0 if one.rate is None or not checks.is_concrete(one.rate) else room_for(float(one.rate)) + len(targets) - 1
+        if one.plots < needed:
+            checks.refuse("SeveralTargets plots", f"at least {needed} for {len(targets)} targets", one.plots)
+        object.__setattr__(self, "one", one)
+        object.__setattr__(self, "targets", targets)
+
+    @property
+    def indices(self) -> tuple[tuple[int, ...], ...]:
+        """Indices of the states of each target."""
+        return self.targets  # type: ignore[return-value]
+
+    def of_states(self, names: tuple[str, ...]) -> "SeveralTargets":
+        """Look up the states that are named."""
+        places = {name: place for place, name in enumerate(names)} | {place: place for place in range(-len(names), len(names))}
+        unknown = [state for own in self.targets for state in own if state not in places]
+        if unknown:
+            checks.refuse("SeveralTargets targets", f"among the states {', '.join(names)}", repr(unknown[0]))
+        found = tuple(tuple(places[state] % len(names) for state in own) for own in self.targets)
+        return replace(self, targets=found, one=self.one.of_states(tuple(names[place] for place in found[0])))
+
+    def packed(self, ys: Any) -> Observed:
+        """Return scans with room for as many plots as the sensor of one target says."""
+        return self.one.packed(ys)
+
+    def silence(self, steps: int) -> Observed:
+        """Return so many steps without a scan."""
+        return self.one.silence(steps)
+
+    def given(self, x: jax.Array, u: Any, t: Any) -> Law:
+        """Refuse: a set has no mean."""
+        checks.refuse("SeveralTargets", "a sensor with a mean and a covariance", "one of sets of plots", "Use a particle filter.")
+
+    def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> Observed:
+        """Draw one scan for each particle, plots `(K, z, n)`, those that are not there NaN, in an order that tells nothing."""
+        drawn = [self.one.own_plot(random.child(key, 5 + place), linalg.take(X, own), u, t) for place, own in enumerate(self.indices)]
+        return self.one.among_false(key, *(jnp.stack(each) for each in zip(*drawn, strict=True)))
+
+    def log_prob(self, value: Any, X: jax.Array, u: Any, t: Any) -> jax.Array:
+        """Log density of a scan given each particle, `(n,)`; see `Cluttered`."""
+        rows, one, n = jnp.asarray(value_of(value)), self.one, X.shape[-1]
+        there = ~jnp.all(jnp.isnan(rows), axis=1)
+        log_intensity, none_false = one.log_intensity(rows)
+        possible = jnp.isfinite(log_intensity)
+        base = none_false + jnp.sum(jnp.where(there & possible, log_intensity, 0))
+        gains = jnp.where(there, jnp.where(possible, -log_intensity, 0), -jnp.inf)
+        false = jnp.where(there & ~possible, NEVER, 0).astype(rows.dtype)
+        own = [linalg.take(X, states) for states in self.indices]
+        probabilities = [jnp.broadcast_to(one.detected(x, u, t), (n,)) for x in own]
+        misses = [jnp.maximum(jnp.log1p(-p), NEVER) for p in probabilities]
+        seen = [one.of_plots(x, u, t) for x in own]
+        wanted = there & ~possible
+        for miss, each in zip(misses, seen, strict=True):
+            floor = jnp.min(jnp.where(jnp.isnan(miss), jnp.inf, miss))
+            if each.means is None or each.cov is None:
+                wanted |= there
+            else:
+                wanted |= one.wanted(rows, gains, floor, each.means, each.cov)
+        order = jnp.argsort(~wanted)
+        # the first always, so that a prediction that is no number is noticed
+        wanted = wanted | (jnp.arange(rows.shape[0]) == order[0])
+
+        def plot(totals: jax.Array, now: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+            z, gain, false = now
+            hits = [jnp.log(p) + jnp.where(jnp.isfinite(gain), gain + each.density(z), NEVER)
+                    for p, each in zip(probabilities, seen, strict=True)]  # fmt: skip
+            return _with_plot(totals, hits, false), None
+
+        def chunk(totals: jax.Array, now: Any) -> tuple[jax.Array, None]:
+            plots, needed = now
+            return jax.lax.cond(needed, lambda totals: jax.lax.scan(plot, totals, plots)[0], lambda totals: totals, totals), None
+
+        count = -(-rows.shape[0] // CHUNK)
+        room = count * CHUNK - rows.shape[0]
+        plots = (rows[order], gains[order], false[order])
+        fill = (jnp.nan, -jnp.inf, 0.0)
+        padded = tuple(jnp.pad(each, ((0, room), *[(0, 0)] * (each.ndim - 1)), constant_values=value).reshape(count, CHUNK, *each.shape[1:])
+                       for each, value in zip(plots, fill, strict=True))  # fmt: skip
+        needed = jnp.pad(wanted[order], (0, room)).reshape(count, CHUNK).any(axis=1)
+        start = jnp.full((2 ** len(own), n), NEVER, X.dtype).at[0].set(0)
+        totals, _ = jax.lax.scan(chunk, start, (padded, needed))
+        whole = jax.nn.logsumexp(jnp.stack([
+            total + sum(miss for i, miss in enumerate(misses) if not taken >> i & 1) for taken, total in enumerate(totals)
+        ]), axis=0)  # fmt: skip
+        return jnp.where(whole < 0.5 * NEVER, -jnp.inf, base + whole)
+
+
+def _with_plot(totals: jax.Array, hits: list[jax.Array], false: jax.Array) -> jax.Array:
+    """Take one more plot into the sums `(2^T, n)` over associations, by the set of targets that have a plot, as the bits of its number.
+
+    Args:
+        totals: before.
+        hits: of each target, what it brings if the plot is its own, `(n,)`.
+        false: what it brings if it is nobody's, `()`.
+    """
+    found = []
+    for taken in range(totals.shape[0]):
+        terms = [totals[taken] + false]
+        terms += [totals[taken & ~(1 << i)] + hit for i, hit in enumerate(hits) if taken >> i & 1]
+        found.append(jax.nn.logsumexp(jnp.stack(terms), axis=0))
+    return jnp.stack(found)

@@ -1,0 +1,179 @@
+"""Scans of several targets against enumeration of all associations, what is drawn, and targets that cross."""
+
+from itertools import permutations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import norm
+
+import motes as mo
+
+pytestmark = pytest.mark.jax
+
+LEVEL = 1e-6
+NAMES = ("a", "v_a", "b", "v_b", "c", "v_c")
+VARIANCE = 0.3
+
+
+def seen(x, u, t):
+    return 0.3 + 0.6 / (1 + jnp.exp(-x[1]))
+
+
+def one(detection=seen, clutter=None, plots=16):
+    clutter = (1.5, mo.Uniform([-4.0], [4.0])) if clutter is None else clutter
+    return mo.Cluttered(mo.AdditiveGaussian(lambda x, u, t: x[:1], [[VARIANCE]]), detection, clutter=clutter, plots=plots)
+
+
+def several(count, **changes):
+    sensor = mo.laws.SeveralTargets(one(**changes), tuple(NAMES[2 * i : 2 * i + 2] for i in range(count)))
+    return sensor.of_states(NAMES[: 2 * count])
+
+
+def enumerated(X, plots, count, detection, log_intensity, rate):
+    """Sum over all ways to give plots, or none, to each target."""
+    found = []
+    for x in X.T:
+        own = [x[2 * i : 2 * i + 2] for i in range(count)]
+        p = [float(detection(each, None, 0)) if callable(detection) else detection for each in own]
+        terms = []
+        for chosen in set(permutations([*range(len(plots)), *[-1] * count], count)):
+            term = sum(log_intensity(z) for j, z in enumerate(plots) if j not in chosen) - rate
+            for i, j in enumerate(chosen):
+                term += np.log(p[i]) + norm.logpdf(plots[j], own[i][0], np.sqrt(VARIANCE)) if j >= 0 else np.log1p(-p[i])
+            terms.append(term)
+        found.append(logsumexp(terms))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("plots", [[], [0.3], [0.2, 0.9, -0.4], [0.1, 0.4, 0.4, 2.0, -3.0]], ids=len)
+def test_the_likelihood_is_the_sum_over_all_associations(double, count, plots):
+    X = np.random.default_rng(0).normal(size=(2 * count, 6))
+    sensor = several(count)
+    y = jax.tree.map(lambda leaf: leaf[0], sensor.packed(mo.plots([np.reshape(plots, (-1, 1))])))
+    found = jax.jit(sensor.log_prob)(y, jnp.asarray(X), None, 0)
+    np.testing.assert_allclose(found, enumerated(X, plots, count, seen, lambda z: np.log(1.5 / 8), 1.5), rtol=1e-10, atol=1e-10)
+
+
+def test_far_and_impossible_plots_are_counted_right(double):
+    """Many plots, most of them far away; those outside of the region of false ones must be a target's."""
+    X, rng = 0.3 * np.random.default_rng(1).normal(size=(4, 5)), np.random.default_rng(2)
+    plots = np.concatenate([[0.1, -0.2, 0.4], rng.uniform(20, 900, 27)])
+    sensor = several(2, clutter=0.02, plots=30)
+    y = jax.tree.map(lambda leaf: leaf[0], sensor.packed(mo.plots([plots[:, None]])))
+    found = jax.jit(sensor.log_prob)(y, jnp.asarray(X), None, 0)
+    np.testing.assert_allclose(found, enumerated(X, plots, 2, seen, lambda z: np.log(0.02), 0.0), rtol=1e-10, atol=1e-9)
+    sensor, inside = several(2), np.log(1.5 / 8)
+    for plots in ([0.2, 4.2, 4.4], [4.2, 4.4, 4.6]):
+        y = jax.tree.map(lambda leaf: leaf[0], sensor.packed(mo.plots([np.reshape(plots, (-1, 1))])))
+        found = np.asarray(jax.jit(sensor.log_prob)(y, jnp.asarray(X), None, 0))
+        with np.errstate(divide="ignore"):
+            wanted = enumerated(X, plots, 2, seen, lambda z: inside if abs(z) < 4 else -np.inf, 1.5)
+        np.testing.assert_allclose(found, wanted, rtol=1e-10)
+
+
+def test_one_target_is_the_sensor_of_one_and_derivatives_are_numbers(double):
+    X, y = jnp.asarray(np.random.default_rng(0).normal(size=(2, 7))), mo.plots([np.array([[0.3], [1.2], [-2.0]])])
+    single, same = one(), several(1)
+    y = jax.tree.map(lambda leaf: leaf[0], single.packed(y))
+    found, wanted = (jax.jit(sensor.log_prob)(y, X, None, 0) for sensor in (same, single))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+    empty = jax.tree.map(lambda leaf: leaf[0], single.packed(mo.plots([np.zeros((0, 1))])))
+    for scan in (y, empty):
+        slope = jax.jit(jax.grad(lambda X, scan=scan: jnp.sum(same.log_prob(scan, X, None, 0))))(X)
+        wanted = jax.jit(jax.grad(lambda X, scan=scan: jnp.sum(single.log_prob(scan, X, None, 0))))(X)
+        np.testing.assert_allclose(slope, wanted, rtol=1e-9, atol=1e-12)
+
+
+def test_drawn_scans_have_the_density_that_they_are_weighed_by(double):
+    """Drawn at one state, the likelihood ratio of any other has the mean one."""
+    draws, sensor = 100_000, several(2)
+    at, other = jnp.array([0.5, 0.3, -0.5, -1.0]), jnp.array([0.7, 0.5, -0.4, -0.8])
+    scans = jax.jit(sensor.sample)(jax.random.key(3), jnp.tile(at[:, None], (1, draws)), None, 0)
+    counts = np.asarray((~jnp.isnan(scans.value[:, 0])).sum(axis=0))
+    p = [float(seen(at[i : i + 2], None, 0)) for i in (0, 2)]
+    spread = np.sqrt((1.5 + sum(q * (1 - q) for q in p)) / draws)
+    assert abs(counts.mean() - 1.5 - sum(p)) / spread < norm.isf(LEVEL / 2)
+    both = jnp.stack([at, other], axis=1)
+    logs = np.asarray(jax.jit(jax.vmap(lambda rows: sensor.log_prob(rows, both, None, 0), in_axes=-1))(scans.value))
+    ratios = np.exp(logs[:, 1] - logs[:, 0])
+    assert abs(ratios.mean() - 1) / (ratios.std() / np.sqrt(draws)) < norm.isf(LEVEL / 2)
+
+
+def test_what_cannot_be_is_refused():
+    for arguments, words in (
+        ((3, (("a",),)), "SeveralTargets one: expected a Cluttered sensor"),
+        ((one(), (("a", "v_a"), ("b",))), "SeveralTargets targets: expected 1 to 6 targets of the same number of states"),
+        ((one(), (("a", "v_a"), ("a", "v_b"))), "SeveralTargets targets: expected states of their own, got 'a' for two"),
+        ((one(plots=11), (("a", "v_a"), ("b", "v_b"))), "SeveralTargets plots: expected at least 12 for 2 targets, got 11"),
+    ):
+        with pytest.raises(mo.MotesError, match=words):
+            mo.laws.SeveralTargets(*arguments)
+    with pytest.raises(mo.MotesError, match="SeveralTargets targets: expected among the states a, v_a, got 'z'"):
+        mo.laws.SeveralTargets(one(), (("z", "v_a"),)).of_states(("a", "v_a"))
+
+
+# two targets that cross -----------------------------------------------------------------------------------------------
+
+PLANE = ("east_1", "north_1", "v_east_1", "v_north_1", "east_2", "north_2", "v_east_2", "v_north_2")
+
+
+def crossing():
+    """Both models of two targets whose paths cross at a small angle: with the plots of each, and with scans."""
+    def f(x, u, t):
+        return jnp.concatenate([x[:2] + x[2:4], x[2:4], x[4:6] + x[6:], x[6:]])
+
+    white = np.kron(0.05 * np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]]), np.eye(2))
+    start = mo.Gaussian(np.array([-400.0, 80, 10, -2, -400, -80, 10, 2]), np.diag([100.0, 100.0, 1.0, 1.0] * 2))
+    place = mo.AdditiveGaussian(lambda x, u, t: x[:2], 100.0 * np.eye(2))
+    region = mo.Uniform(np.full(2, -600.0), np.full(2, 600.0))
+    scans = mo.laws.SeveralTargets(mo.Cluttered(place, 0.9, clutter=(10.0, region), plots=40), (PLANE[:4], PLANE[4:]))
+    own = mo.AdditiveGaussian(lambda x, u, t: jnp.concatenate([x[:2], x[4:6]]), 100.0 * np.eye(4))
+    dynamics = mo.AdditiveGaussian(f, np.kron(np.eye(2), white))
+    return mo.StateSpaceModel(start, dynamics, own, PLANE), mo.StateSpaceModel(start, dynamics, scans, PLANE)
+
+
+def places(states):
+    return np.stack([states[..., :2], states[..., 4:6]], axis=-2)
+
+
+def test_velocities_of_all_targets_go_to_the_kalman_part():
+    assert mo.structure(crossing()[1]).linear == (2, 3, 6, 7)
+
+
+@pytest.mark.night
+def test_targets_that_cross_are_kept_apart():
+    """50 runs of 80 scans, 10 false plots each, detection 0.9: none lost, at most 2 exchanged; the genie knows which plot is whose."""
+    plain, scanned = crossing()
+
+    def one_run(key):
+        keys = jax.random.split(key, 4)
+        xs, ys = mo.simulate(keys[0], scanned, 80)
+        tracked = mo.run(keys[1], mo.MarginalizedParticleFilter(n=1_000), scanned, ys, keep=mo.keep.means).mean
+        true, own = mo.simulate(keys[2], plain, 80)
+        own = jnp.where(jnp.repeat(jax.random.uniform(keys[3], (80, 2)) < 0.9, 2, axis=1), own, jnp.nan)
+        return tracked, xs, mo.run(keys[1], mo.KalmanFilter(), plain, own, keep=mo.keep.means).mean, true
+
+    found = jax.jit(lambda keys: jax.lax.map(one_run, keys))(jax.random.split(jax.random.key(5), 50))
+    tracked, xs, genie, true = (places(np.asarray(each)) for each in found)
+    error = np.linalg.norm(tracked - xs, axis=-1)
+    assert error[:, -10:].mean(axis=1).max() < 60  # of each target, by its own track
+    assert sum(mo.diagnostics.swaps(one, other, 60.0) for one, other in zip(tracked, xs, strict=True)) <= 4
+    best = np.sqrt(np.mean(np.sum((genie - true) ** 2, axis=-1)))
+    assert np.sqrt(np.mean(error**2)) <= 1.35 * best
+
+
+def test_swaps_are_counted_once_and_tracks_stay_with_their_targets():
+    truth = np.stack([np.array([[t, 1.0], [t, -1.0]]) for t in range(6)])
+    assert mo.diagnostics.swaps(truth, truth, 3.0) == 0
+    swapped = np.concatenate([truth[:3], truth[3:, ::-1]])
+    assert mo.diagnostics.swaps(swapped, truth, 1.5) == 2
+    assert mo.diagnostics.swaps(swapped, truth, 3.0) == 0, "within the cutoff a track stays"
+    gone = truth.copy()
+    gone[2:4] += 100.0
+    assert mo.diagnostics.swaps(gone, truth, 1.5) == 0
+    with pytest.raises(mo.MotesError, match="swaps estimates: expected points"):
+        mo.diagnostics.swaps(truth[0], truth[0], 1.0)
