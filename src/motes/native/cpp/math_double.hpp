@@ -1,4 +1,5 @@
-// The elementary functions once more, in double precision: within 2 units in the last place (tan, sinh, cosh, asin, acos, erf_inv: 4).
+// The elementary functions once more, in double precision: within 2 units in the last place (tanh, logistic: 3;
+// tan, sinh, cosh, asin, acos: 4; erf_inv: 6).
 // Whole parts of quotients are read off the bits of a sum with a large number: not every processor converts eight doubles to 64-bit integers.
 #pragma once
 #include "math.hpp"
