@@ -211,14 +211,14 @@ def _spread(angles: tuple[int, ...], values: jax.Array, log_weights: jax.Array, 
 
 def _ranked(sensor: Conditional, draws: jax.Array, log_weights: jax.Array, y: jax.Array) -> Innovation:
     """Normalized innovation squared of y among weighted draws `(y, m)` of what was predicted."""
+    from scipy.special import gammaincinv  # here, because to load it takes a tenth of the time in which a program begins
+
     size, count = draws.shape
     seen = ~jnp.isnan(y)
     spread = _spread(sensor.angles, draws, log_weights, y, seen)
     factor = linalg.cholesky(among(spread.cov, seen))
     square, others = (jnp.sum(linalg.solve_lower(factor, e) ** 2, axis=0) for e in (spread.middle, spread.off - spread.middle[:, None]))
     rank = jnp.sum(jnp.where(others < square, spread.weights, 0))
-    from scipy.special import gammaincinv  # here, because to load it takes a tenth of the time in which a program begins
-
     ranks = (np.arange(count + 1) + 0.5) / (count + 1)
     table = np.stack([2 * gammaincinv(degrees / 2, ranks) if degrees else np.zeros(count + 1) for degrees in range(size + 1)])
     measured = jnp.sum(seen)

@@ -200,23 +200,12 @@ class Cluttered(Conditional):
         total = jnp.broadcast_to(miss, X.shape[-1:])
         if rows.shape[0] <= CHUNK:
             return shared.base + _with_plots(total, hit, seen.density, rows, shared.gains)
-        wanted = jnp.isfinite(shared.gains)
-        if seen.means is not None and seen.cov is not None:
-            wanted = self.wanted(rows, shared.gains, jnp.min(jnp.where(jnp.isnan(total), jnp.inf, total)), seen.means, seen.cov)
-        order = jnp.argsort(~wanted)
-        chunks = -(-rows.shape[0] // CHUNK)
-        room = chunks * CHUNK - rows.shape[0]
-        ordered = jnp.pad(rows[order], ((0, room), (0, 0)), constant_values=np.nan).reshape(chunks, CHUNK, -1)
-        gains = jnp.pad(shared.gains[order], (0, room), constant_values=-np.inf).reshape(chunks, CHUNK)
-        needed = jnp.pad(wanted[order], (0, room)).reshape(chunks, CHUNK).any(axis=1)
+        wanted = self.seen_by_any(rows, shared.gains, total, seen)
 
-        def chunk(total: jax.Array, now: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-            rows, gains, needed = now
-            return jax.lax.cond(needed, lambda total: _with_plots(total, hit, seen.density, rows, gains), lambda total: total, total), None
+        def with_plots(total: jax.Array, rows: jax.Array, gains: jax.Array) -> jax.Array:
+            return _with_plots(total, hit, seen.density, rows, gains)
 
-        # the first always, so that a prediction that is no number is noticed
-        total = _with_plots(total, hit, seen.density, ordered[0], gains[0])
-        return shared.base + jax.lax.scan(chunk, total, (ordered[1:], gains[1:], needed[1:]))[0]
+        return shared.base + in_chunks(with_plots, total, wanted, (rows, np.nan), (shared.gains, -np.inf))
 
     def of_plots(self, X: jax.Array, u: Any, t: Any) -> "OfPlots":
         """Return what weighs plots given states `(x, n)` of the target."""
@@ -225,6 +214,12 @@ class Cluttered(Conditional):
             return OfPlots(lambda z: sensor.log_prob(z, X, u, t), None, None)
         means, cov = sensor.means(X, u, t), matrix_over(sensor.Q, X, u, t)
         return OfPlots(lambda z: sensor.log_prob_about(z, means, cov), means, cov)
+
+    def seen_by_any(self, rows: jax.Array, gains: jax.Array, floors: jax.Array, of_plots: "OfPlots") -> jax.Array:
+        """Do what `wanted` does for what weighs plots, with a floor for each particle `(n,)`; all where no Gaussian says predictions."""
+        if of_plots.means is None or of_plots.cov is None:
+            return jnp.isfinite(gains)
+        return self.wanted(rows, gains, jnp.min(jnp.where(jnp.isnan(floors), jnp.inf, floors)), of_plots.means, of_plots.cov)
 
     def wanted(self, rows: jax.Array, gains: jax.Array, floor: jax.Array, means: jax.Array, cov: jax.Array) -> jax.Array:
         """Tell of each plot whether it can be seen in the likelihood of any of n particles or Gaussians; bool `(K,)`.
@@ -276,6 +271,33 @@ class OfPlots(NamedTuple):
     cov: jax.Array | None
 
 
+def in_chunks(work: Callable[..., jax.Array], total: jax.Array, wanted: jax.Array, *plots: tuple[jax.Array, float]) -> jax.Array:
+    """Take the plots of a scan into a total, some at a time, those that are wanted first; what holds none of them is left out.
+
+    Args:
+        work: gives the total after some plots, from the total before and an array for each of `plots`.
+        total: before.
+        wanted: of each plot, whether it counts, `(K,)`.
+        plots: arrays `(K, ...)` of what is known of each plot, each with what stands there for no plot.
+    """
+    order = jnp.argsort(~wanted)
+    count = -(-wanted.shape[0] // CHUNK)
+    room = count * CHUNK - wanted.shape[0]
+
+    def divided(array: jax.Array, nothing: Any) -> jax.Array:
+        full = jnp.pad(array[order], ((0, room), *[(0, 0)] * (array.ndim - 1)), constant_values=nothing)
+        return full.reshape(count, CHUNK, *array.shape[1:])
+
+    def chunk(total: jax.Array, now: Any) -> tuple[jax.Array, None]:
+        own, needed = now
+        return jax.lax.cond(needed, lambda total: work(total, *own), lambda total: total, total), None
+
+    chunks, needed = [divided(*each) for each in plots], divided(wanted, False).any(axis=1)
+    # the first always, so that a prediction that is no number is noticed
+    total = work(total, *(each[0] for each in chunks))
+    return jax.lax.scan(chunk, total, ([each[1:] for each in chunks], needed[1:]))[0]
+
+
 def _with_plots(
     total: jax.Array, hit: jax.Array, density: Callable[[jax.Array], jax.Array], rows: jax.Array, gains: jax.Array
 ) -> jax.Array:
@@ -323,4 +345,3 @@ def _ask_room(rate: jax.Array, plots: int) -> None:
     if plots < needed:
         checks.refuse("Cluttered plots", f"at least {needed}, since scans of {float(rate):g} false plots on average have up to so many",
                       plots)  # fmt: skip
-

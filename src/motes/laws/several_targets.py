@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.laws.cluttered import CHUNK, Cluttered, room_for
+from motes.laws.cluttered import Cluttered, in_chunks, room_for
 from motes.laws.conditional import Conditional
 from motes.laws.law import Law
 from motes.laws.observed import Observed, value_of
@@ -119,14 +119,7 @@ class SeveralTargets(Conditional):
         seen = [one.of_plots(x, u, t) for x in own]
         wanted = there & ~possible
         for miss, each in zip(misses, seen, strict=True):
-            floor = jnp.min(jnp.where(jnp.isnan(miss), jnp.inf, miss))
-            if each.means is None or each.cov is None:
-                wanted |= there
-            else:
-                wanted |= one.wanted(rows, gains, floor, each.means, each.cov)
-        order = jnp.argsort(~wanted)
-        # the first always, so that a prediction that is no number is noticed
-        wanted = wanted | (jnp.arange(rows.shape[0]) == order[0])
+            wanted |= one.seen_by_any(rows, gains, miss, each)
 
         def plot(totals: jax.Array, now: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
             z, gain, false = now
@@ -134,19 +127,11 @@ class SeveralTargets(Conditional):
                     for p, each in zip(probabilities, seen, strict=True)]  # fmt: skip
             return _with_plot(totals, hits, false), None
 
-        def chunk(totals: jax.Array, now: Any) -> tuple[jax.Array, None]:
-            plots, needed = now
-            return jax.lax.cond(needed, lambda totals: jax.lax.scan(plot, totals, plots)[0], lambda totals: totals, totals), None
+        def with_plots(totals: jax.Array, *plots: jax.Array) -> jax.Array:
+            return jax.lax.scan(plot, totals, plots)[0]
 
-        count = -(-rows.shape[0] // CHUNK)
-        room = count * CHUNK - rows.shape[0]
-        plots = (rows[order], gains[order], false[order])
-        fill = (jnp.nan, -jnp.inf, 0.0)
-        padded = tuple(jnp.pad(each, ((0, room), *[(0, 0)] * (each.ndim - 1)), constant_values=value).reshape(count, CHUNK, *each.shape[1:])
-                       for each, value in zip(plots, fill, strict=True))  # fmt: skip
-        needed = jnp.pad(wanted[order], (0, room)).reshape(count, CHUNK).any(axis=1)
         start = jnp.full((2 ** len(own), n), NEVER, X.dtype).at[0].set(0)
-        totals, _ = jax.lax.scan(chunk, start, (padded, needed))
+        totals = in_chunks(with_plots, start, wanted, (rows, jnp.nan), (gains, -jnp.inf), (false, 0.0))
         whole = jax.nn.logsumexp(jnp.stack([
             total + sum(miss for i, miss in enumerate(misses) if not taken >> i & 1) for taken, total in enumerate(totals)
         ]), axis=0)  # fmt: skip

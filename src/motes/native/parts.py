@@ -40,8 +40,8 @@ def needed(statements: Sequence[str], ends: Sequence[str]) -> list[str]:
 
 
 def in_parts(statements: Sequence[str], ends: Sequence[str]) -> Parts:
-    """Divide statements, each of which gives a name to an expression, and last ones, each put as early as it can be."""
-    ordered = _ordered(needed(statements, ends), ends)
+    """Divide the statements that some last ones need, each of which gives a name to an expression, each put as late as it can be."""
+    ordered = _ordered(statements, ends)
     text_of = {WORDS.findall(statement)[2]: statement for statement in ordered if statement.startswith("const ")}
     made: list[list[str]] = []
     later: list[str] = []

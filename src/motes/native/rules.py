@@ -104,7 +104,7 @@ OURS = (
     "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "logistic", "sqrt",
     "rsqrt", "erf_inv",
 )  # fmt: skip
-"""Functions of `cpp/math.hpp` and `cpp/math_double.hpp`."""
+"""Functions of `cpp/math.hpp` (float), `cpp/math_double.hpp` and `cpp/math_both.hpp`."""
 
 OF_C = ("cbrt", "erf", "erfc", "exp2", "log2", "lgamma", "pow", "asinh", "acosh", "atanh")
 """Functions of the C library: they keep a loop from being vectorized, but are right."""

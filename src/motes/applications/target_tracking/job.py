@@ -14,7 +14,7 @@ from motes.applications.interface import Job, Score
 from motes.applications.target_tracking import scans as reading
 from motes.applications.target_tracking.model import Motion, jumping, scanned
 from motes.applications.target_tracking.settings import Radar, Settings
-from motes.applications.target_tracking.world import World, made_up
+from motes.applications.target_tracking.world import World, made_up, range_rate
 from motes.core import checks
 from motes.core.record import replace as with_policy
 from motes.filters import keep
@@ -105,9 +105,7 @@ class TrackingJob(Job):
     @cached_property
     def hidden(self) -> np.ndarray:
         """Whether the radar is blind to the target, `(t,)`, where the truth is known."""
-        states = np.asarray(self.truth)
-        rate = np.sum(states[:, :2] * states[:, 2:], axis=1) / np.hypot(*states[:, :2].T)
-        return np.abs(rate) < self.radar.notch
+        return np.abs(range_rate(np.asarray(self.truth))) < self.radar.notch
 
     @cached_property
     def without(self) -> History:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from motes.applications.target_tracking.world import range_rate
 from motes.filters.history import History
 from motes.plotting.animation import Animation
 from motes.plotting.figures import COLORS, ESTIMATE, INERTIAL, TRUE, legend_below, new_figure, tidy
@@ -99,11 +100,6 @@ def _places(job: Any, step: int) -> np.ndarray:
     return rows[:, :1] / 1e3 * np.stack([np.cos(rows[:, 1]), np.sin(rows[:, 1])], axis=1)
 
 
-def _rate(states: np.ndarray) -> np.ndarray:
-    """Range rates of states `(..., 4)`."""
-    return np.sum(states[..., :2] * states[..., 2:4], axis=-1) / np.hypot(states[..., 0], states[..., 1])
-
-
 def _draw_rates(axes: Any, history: History, job: Any, upto: int) -> None:
     seconds = job.times[: upto + 1]
     axes.axhspan(-job.radar.notch, job.radar.notch, color=NOTCH, linewidth=0, zorder=0)
@@ -113,12 +109,12 @@ def _draw_rates(axes: Any, history: History, job: Any, upto: int) -> None:
         rates = rows[~np.isnan(rows).any(axis=1), 2]
         axes.plot(np.full(rates.shape, job.times[step]), rates, ".", color="0.6", markersize=3)
     if "cloud" in history.kept:
-        cloud = _rate(np.moveaxis(np.asarray(history.kept["cloud"])[: upto + 1], 1, -1))
+        cloud = range_rate(np.moveaxis(np.asarray(history.kept["cloud"])[: upto + 1], 1, -1))
         axes.plot(np.repeat(seconds, cloud.shape[1]), cloud.ravel(), ".", color=COLORS[5], markersize=1.5, alpha=0.4)
     if job.truth is not None:
-        axes.plot(seconds, _rate(np.asarray(job.truth)[: upto + 1]), color=TRUE, linewidth=1.6)
-    axes.plot(seconds, _rate(np.asarray(history.mean)[: upto + 1]), color=ESTIMATE, linewidth=1.0)
-    most = 1.3 * np.nanmax(np.abs(_rate(np.asarray(history.mean))))
+        axes.plot(seconds, range_rate(np.asarray(job.truth)[: upto + 1]), color=TRUE, linewidth=1.6)
+    axes.plot(seconds, range_rate(np.asarray(history.mean)[: upto + 1]), color=ESTIMATE, linewidth=1.0)
+    most = 1.3 * np.nanmax(np.abs(range_rate(np.asarray(history.mean))))
     axes.set(title="Range rate, m/s", ylim=(-most, most), xlim=(job.times[0], max(job.times[-1], job.times[0] + 1)))
 
 

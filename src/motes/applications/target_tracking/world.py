@@ -31,6 +31,11 @@ class World(NamedTuple):
     scans: list[np.ndarray]
 
 
+def range_rate(states: np.ndarray) -> np.ndarray:
+    """Range rates of states `(..., 4)`, m/s."""
+    return np.sum(states[..., :2] * states[..., 2:4], axis=-1) / np.hypot(states[..., 0], states[..., 1])
+
+
 def flown(generator: np.random.Generator, scans: int, period: float) -> np.ndarray:
     """Return the states `(t, 4)` of a flight at its scans."""
     azimuth = generator.uniform(-np.pi, np.pi)
@@ -74,8 +79,7 @@ def made_up(seed: int, scans: int, period: float, radar: Radar) -> World:
     checks.above_zero("period", period, 10.0)
     generator = np.random.default_rng(seed)
     states = flown(generator, scans, period)
-    distance = np.hypot(*states[:, :2].T)
-    rate = np.sum(states[:, :2] * states[:, 2:], axis=1) / distance
+    distance, rate = np.hypot(*states[:, :2].T), range_rate(states)
     seen = generator.random(scans) < radar.detection / (1 + np.exp(-(np.abs(rate) - radar.notch) / radar.edge))
     noise = generator.standard_normal((scans, 3)) * [radar.distance, radar.azimuth, radar.rate]
     own = np.stack([distance, np.arctan2(states[:, 1], states[:, 0]), rate], axis=1) + noise

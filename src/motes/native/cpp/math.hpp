@@ -82,11 +82,6 @@ static inline __attribute__((always_inline)) float log_of(float x, float correct
   return log_reduced(mantissa - 1.f, (float)k - (tiny ? 23.f : 0.f), correction);
 }
 
-static inline __attribute__((always_inline)) float log(float x) {
-  float value = log_of(x, 0.f);
-  return x == 0.f ? -INF : (x < 0.f ? NOT_A_NUMBER : ((x == INF) | (x != x) ? x : value));
-}
-
 static inline __attribute__((always_inline)) float log1p(float x) {
   float sum = 1.f + x;
   float lost = x >= 1.f ? 1.f - (sum - x) : x - (sum - 1.f);
@@ -116,24 +111,6 @@ static inline __attribute__((always_inline)) float cosine_core(float x) {
   return fma(p, s * s, fma(-0.5f, s, 1.f));
 }
 
-static inline __attribute__((always_inline)) float sin(float x) {
-  Turned r = quarters(x);
-  float value = r.quarter & 1 ? cosine_core(r.rest) : sine_core(r.rest);
-  return r.quarter & 2 ? -value : value;
-}
-
-static inline __attribute__((always_inline)) float cos(float x) {
-  Turned r = quarters(x);
-  float value = r.quarter & 1 ? sine_core(r.rest) : cosine_core(r.rest);
-  return (r.quarter + 1) & 2 ? -value : value;
-}
-
-static inline __attribute__((always_inline)) float tan(float x) {
-  Turned r = quarters(x);
-  float s = sine_core(r.rest), c = cosine_core(r.rest);
-  return r.quarter & 1 ? -c / s : s / c;
-}
-
 // arctan on [0, 1]
 static inline __attribute__((always_inline)) float atan_core(float x) {
   float s = x * x;
@@ -153,7 +130,6 @@ static inline __attribute__((always_inline)) float atan2(float y, float x) {
   return __builtin_copysignf(angle, y);
 }
 
-static inline __attribute__((always_inline)) float atan(float x) { return atan2(x, 1.f); }
 
 static inline __attribute__((always_inline)) float asin(float x) {
   float size = __builtin_fabsf(x);
@@ -190,18 +166,11 @@ static inline __attribute__((always_inline)) float sinh(float x) {
   return __builtin_fabsf(x) < 1.f ? inner : outer;
 }
 
-static inline __attribute__((always_inline)) float cosh(float x) {
-  float half = exp(0.5f * __builtin_fabsf(x));
-  return half * (0.5f * half) + 0.5f / half / half;
-}
-
 static inline __attribute__((always_inline)) float absolute(float x) { return __builtin_fabsf(x); }
 static inline __attribute__((always_inline)) float floor(float x) { return __builtin_floorf(x); }
 static inline __attribute__((always_inline)) float ceil(float x) { return __builtin_ceilf(x); }
 static inline __attribute__((always_inline)) float round_away(float x) { return __builtin_roundf(x); }
-static inline __attribute__((always_inline)) float logistic(float x) { return 1.f / (1.f + exp(-x)); }
 static inline __attribute__((always_inline)) float sqrt(float x) { return __builtin_sqrtf(x); }
-static inline __attribute__((always_inline)) float rsqrt(float x) { return 1.f / __builtin_sqrtf(x); }
 
 // whole numbers in the total order of float32: -NaN, -inf, ..., -0, 0, ..., inf, NaN
 static inline __attribute__((always_inline)) int32_t rank(float x) {

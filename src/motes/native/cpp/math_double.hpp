@@ -30,7 +30,6 @@ static inline __attribute__((always_inline)) double ceil(double x) { return __bu
 static inline __attribute__((always_inline)) double round_away(double x) { return __builtin_round(x); }
 static inline __attribute__((always_inline)) double round_even(double x) { return __builtin_rint(x); }
 static inline __attribute__((always_inline)) double sqrt(double x) { return __builtin_sqrt(x); }
-static inline __attribute__((always_inline)) double rsqrt(double x) { return 1. / __builtin_sqrt(x); }
 
 // 2^k for -1022 <= k <= 1023
 static inline __attribute__((always_inline)) double power_of_two(int64_t k) { return bits<double>((int64_t)((uint64_t)(k + 1023) << 52)); }
@@ -90,11 +89,6 @@ static inline __attribute__((always_inline)) double log_of(double x, double corr
   return fma(twos, 6.93147180369123816490e-01, -((half - low) - rest));
 }
 
-static inline __attribute__((always_inline)) double log(double x) {
-  double value = log_of(x, 0.);
-  return x == 0. ? -INF : (x < 0. ? NOT_A_NUMBER : ((x == INF) | (x != x) ? x : value));
-}
-
 static inline __attribute__((always_inline)) double log1p(double x) {
   double sum = 1. + x;
   double lost = x >= 1. ? 1. - (sum - x) : x - (sum - 1.);
@@ -131,24 +125,6 @@ static inline __attribute__((always_inline)) double cosine_core(double x) {
   return most + fma(p, s * s, (1. - most) - half);
 }
 
-static inline __attribute__((always_inline)) double sin(double x) {
-  TurnedDouble r = quarters(x);
-  double value = r.quarter & 1 ? cosine_core(r.rest) : sine_core(r.rest);
-  return r.quarter & 2 ? -value : value;
-}
-
-static inline __attribute__((always_inline)) double cos(double x) {
-  TurnedDouble r = quarters(x);
-  double value = r.quarter & 1 ? sine_core(r.rest) : cosine_core(r.rest);
-  return (r.quarter + 1) & 2 ? -value : value;
-}
-
-static inline __attribute__((always_inline)) double tan(double x) {
-  TurnedDouble r = quarters(x);
-  double s = sine_core(r.rest), c = cosine_core(r.rest);
-  return r.quarter & 1 ? -c / s : s / c;
-}
-
 // arctan of small / large, both positive and the first not the larger: beyond tan(pi/8) turned back by pi/4
 static inline __attribute__((always_inline)) double atan_of(double small, double large) {
   bool turned = small > 0.41421356237309503 * large;
@@ -173,7 +149,6 @@ static inline __attribute__((always_inline)) double atan2(double y, double x) {
   return __builtin_copysign(angle, y);
 }
 
-static inline __attribute__((always_inline)) double atan(double x) { return atan2(x, 1.); }
 
 static inline __attribute__((always_inline)) double asin(double x) {
   double size = __builtin_fabs(x);
@@ -208,12 +183,6 @@ static inline __attribute__((always_inline)) double sinh(double x) {
   return __builtin_copysign(size < 1. ? inner : half * (0.5 * half) - 0.5 / half / half, x);
 }
 
-static inline __attribute__((always_inline)) double cosh(double x) {
-  double half = exp(0.5 * __builtin_fabs(x));
-  return half * (0.5 * half) + 0.5 / half / half;
-}
-
-static inline __attribute__((always_inline)) double logistic(double x) { return 1. / (1. + exp(-x)); }
 
 // whole numbers in the total order of float64
 static inline __attribute__((always_inline)) int64_t rank(double x) {

@@ -1,6 +1,6 @@
 // The random stream of motes.core.random: the same words, and normal numbers equal to it within 2 units in the last place.
 #pragma once
-#include "math_double.hpp"
+#include "math_both.hpp"
 
 #ifndef MOTES_REAL
 #define MOTES_REAL float
