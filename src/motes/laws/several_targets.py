@@ -127,7 +127,7 @@ class SeveralTargets(Conditional):
                     for p, each in zip(probabilities, seen, strict=True)]  # fmt: skip
             return _with_plot(totals, hits, false), None
 
-        def with_plots(totals: jax.Array, *plots: jax.Array) -> jax.Array:
+        def with_plots(totals: jax.Array, *plots: Any) -> jax.Array:
             return jax.lax.scan(plot, totals, plots)[0]
 
         start = jnp.full((2 ** len(own), n), NEVER, X.dtype).at[0].set(0)
