@@ -83,7 +83,7 @@ def test_normal_numbers():
             words = np.asarray(random._words(jax.random.key_data(key), (rows, n)))
         with engine.using("native"):
             ours = np.asarray(random.normal(key, (rows, n), jnp.float64))
-        assert ours.dtype == np.float64 and ulps(ours, wanted).max() <= 4
+        assert ours.dtype == np.float64 and ulps(ours, wanted).max() <= 8  # each within 4 of the exact one, whatever a JAX fuses
         bits = (words[0].astype(np.uint64) << np.uint64(32) | words[1]).view(np.int64)
         assert np.allclose(ours, np.sqrt(2) * special.erfinv(bits * 2.0**-63), rtol=1e-14, atol=1e-14)
     far = 1 - np.geomspace(2.0**-53, 1, 5000)
