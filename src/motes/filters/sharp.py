@@ -1,6 +1,7 @@
 """Sensors without noise in some component: refused to filters that draw particles and then weigh them, none of which ever fits."""
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -59,12 +60,12 @@ def ask_full_noise(asked_by: str, model: Any) -> None:
                           f"none of its own in {model.names[dead[0]]}", hint)
 
 
-def _known(part: Conditional) -> jax.Array | None:
+def _known(part: Conditional) -> Any:
     """Return the covariance of a Gaussian noise, `(z, z)` or that of n mixed ones, `(z, z, n)`; None where it is not known now."""
     law = part.law if isinstance(part, AdditiveNoise) else None
     law = law.parts if isinstance(law, Mixture) else law
     cov = part.Q if isinstance(part, AdditiveGaussian) else law.covariance if isinstance(law, Gaussian) else None
-    return None if cov is None or callable(cov) or not checks.is_concrete(cov) else jnp.asarray(cov)
+    return None if cov is None or callable(cov) or not checks.is_concrete(cov) else cov
 
 
 def _without(sensor: Conditional) -> int | None:
@@ -75,21 +76,24 @@ def _without(sensor: Conditional) -> int | None:
     return None if cov is None else min((j for dead in _dead_of(cov) for j in dead), default=None)
 
 
-def _dead_of(cov: jax.Array) -> list[list[int]]:
+def _dead_of(cov: Any) -> list[tuple[int, ...]]:
     """Return what `_dead` finds in one known covariance, or in each of n `(z, z, n)`."""
-    matrices = np.asarray(cov, np.float64).reshape(*cov.shape[:2], -1)
-    return [_dead(each, float(jnp.finfo(cov.dtype).eps)) for each in np.moveaxis(matrices, -1, 0)]
+    size, eps = cov.shape[0], float(jnp.finfo(jnp.result_type(cov)).eps)
+    matrices = np.asarray(cov, np.float64).reshape(size, size, -1)
+    return [_dead(each.tobytes(), size, eps) for each in np.moveaxis(matrices, -1, 0)]
 
 
-def _dead(cov: np.ndarray, eps: float) -> list[int]:
-    """Components that those before say all of, as `linalg.cholesky` finds them, of known numbers."""
+@lru_cache
+def _dead(numbers: bytes, size: int, eps: float) -> tuple[int, ...]:
+    """Components that those before say all of, as `linalg.cholesky` finds them; remembered, since each run asks."""
+    cov = np.frombuffer(numbers).reshape(size, size)
     rest, found = cov.copy(), []
-    for j in range(len(cov)):
-        if rest[j, j] > 4 * len(cov) * eps * cov[j, j]:
+    for j in range(size):
+        if rest[j, j] > 4 * size * eps * cov[j, j]:
             rest -= np.outer(rest[:, j], rest[j]) / rest[j, j]
         else:
             found.append(j)
-    return found
+    return tuple(found)
 
 
 def conditions_exactly(proposal: Proposal, model: Any) -> bool:

@@ -6,7 +6,7 @@ compile again. Here each user function is traced once on the shapes of its argum
 """
 
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, TypeVar
 
 import jax
@@ -114,13 +114,19 @@ def shape_of(leaf: Any) -> jax.ShapeDtypeStruct:
     if isinstance(leaf, jax.ShapeDtypeStruct):
         return leaf
     found = jax.typeof(leaf)
-    return jax.ShapeDtypeStruct(found.shape, found.dtype, weak_type=found.weak_type)
+    return _shape(found.shape, found.dtype, found.weak_type)
 
 
 def one_of(leaf: Any) -> jax.ShapeDtypeStruct:
     """Shape and type of one row of an array, as JAX sees it."""
     whole = shape_of(leaf)
-    return jax.ShapeDtypeStruct(whole.shape[1:], whole.dtype, weak_type=whole.weak_type)
+    return _shape(whole.shape[1:], whole.dtype, whole.weak_type)
+
+
+@lru_cache
+def _shape(shape: tuple[int, ...], dtype: Any, weak_type: bool) -> jax.ShapeDtypeStruct:
+    # to make one takes longer than to look it up
+    return jax.ShapeDtypeStruct(shape, dtype, weak_type=weak_type)
 
 
 @cache

@@ -160,7 +160,7 @@ def _source(
 using namespace motes;
 struct Model {{
   static constexpr int LEAVES = {len(leaves)}, OUTS = {len(outs)}, IN_ROWS = {count}, OUT_ROWS_ALL = {made};
-  static constexpr int NOISE = {translator.rows}, TABLES = {len(translator.tables)}, SIZE = {len(statements) - count};
+  static constexpr int NOISE = {translator.rows}, TABLES = {len(translator.tables)};
   {_lines(arrays, 2)}
   static void draw(const uint32_t* P, uint32_t begin, Real (*noise)[BLOCK]) {{
     {_lines([*_used(translator.declarations(), translator.draws), *translator.draws], 4)}

@@ -210,7 +210,7 @@ _PLAIN = (Program, jax.Array, np.ndarray, np.generic, bool, int, float, str, typ
 
 def _gathered(value: Any, found: list[str]) -> bool:
     """Collect what is read; False where it is not known."""
-    if isinstance(value, _PLAIN):
+    if type(value) in _PLAIN or isinstance(value, _PLAIN):
         return True
     library = type(value).__module__.partition(".")[0] in ("motes", "builtins", "collections")
     if isinstance(value, (list, tuple, dict)) and library:

@@ -11,7 +11,7 @@ static void normal_block(const Frame& frame, const Team& team) {
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
     const uint32_t* key = batch.of<const uint32_t>(frame.arg(0), run);
     Real* data = batch.of<Real>(out, run);
-    own.each(blocks_of(n), ALONE, [=](int64_t b) {
+    own.each(blocks_of(n), [=](int64_t b) {
       Scratch memory(sizeof(Real) * BLOCK * rows);
       auto* noise = memory.as<Real[BLOCK]>();
       normals({key[0], key[1]}, (uint32_t)(b * BLOCK), (int)rows, noise);
@@ -91,7 +91,7 @@ static void moments(const Frame& frame, const Team& team) {
     const Real* log_weights = batch.of<const Real>(given, run);
     Scratch memory(sizeof(double) * size * blocks);
     double* found = memory.as<double>();
-    own.each(blocks, ALONE, [=](int64_t b) {
+    own.each(blocks, [=](int64_t b) {
       const Real* rows[MOST_ROWS];
       int at = 0;
       for (int64_t part = 1; part <= parts; part++) {

@@ -138,10 +138,10 @@ class Team {
 
   int64_t size() const { return threads; }
 
-  // work(0) ... work(count - 1), in any order; `alone` below which count the calling thread does it all
+  // work(0) ... work(count - 1), in any order; below the count `least` the calling thread does it all
   template <class Work>
-  void each(int64_t count, int64_t alone, Work work) const {
-    if (threads < 2 || count < alone || count < 2) {
+  void each(int64_t count, Work work, int64_t least = 2) const {
+    if (threads < 2 || count < least) {
       for (int64_t i = 0; i < count; i++) work(i);
       return;
     }

@@ -1,6 +1,6 @@
 // The two stages of a filter with particles, for a traced model: `Model` is written by the translator.
 //   LEAVES, ROWS[], RANKS[]: arrays of the particles' state; OUTS, OUT_ROWS[], OUT_RANKS[]: those that the stage changes;
-//   SIZE: scalar operations; TABLES, TABLE_BYTES[]: arrays that all particles share, and the size of their elements;
+//   TABLES, TABLE_BYTES[]: arrays that all particles share, and the size of their elements;
 //   NOISE: rows of random numbers; draw(P, begin, noise) fills them; lanes(...) works on up to BLOCK particles.
 #pragma once
 #include "weights.hpp"
@@ -16,10 +16,6 @@
 namespace motes {
 
 constexpr int PIECE = 512 / sizeof(Real);
-
-// few blocks of a long program are worth waking a thread for
-template <class Model>
-constexpr int64_t alone() { return Model::SIZE < 200 ? ALONE : 2; }
 
 template <class Model>
 struct Rows {
@@ -56,12 +52,12 @@ static void move(const Frame& frame, const Team& team) {
     const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
     const int32_t* ancestors = batch.of<const int32_t>(frame.arg(1), run);
     Rows<Model> rows = rows_of<Model>(frame, batch, run, n, 0);
-    own.each(blocks_of(n), alone<Model>(), [=](int64_t b) {
+    own.each(blocks_of(n), [=](int64_t b) {
       alignas(64) Real noise[Model::NOISE + 1][BLOCK];
       Model::draw(parameters, (uint32_t)(b * BLOCK), noise);
       Model::lanes(parameters, rows, ancestors + b * BLOCK, b * BLOCK, length_of(b, n), noise, nullptr, nullptr);
     });
-  }, alone<Model>());
+  });
 }
 
 // args: parameters, log weights `(n)`, leaves, tables; rets: log weights `(n)`, judgement `(6)`, changed leaves
@@ -76,7 +72,7 @@ static void weigh(const Frame& frame, const Team& team) {
       Model::lanes(parameters, rows, nullptr, b * BLOCK, length_of(b, n), noise, likelihood, maximum);
       return Seen{likelihood, maximum};
     };
-  }, alone<Model>());
+  });
 }
 
 }  // namespace motes

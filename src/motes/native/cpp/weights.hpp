@@ -6,7 +6,7 @@
 
 namespace motes {
 
-constexpr int64_t ALONE = 6;  // fewer blocks than this are not worth waking a thread for
+constexpr int64_t LIGHT = 24;  // fewer blocks than this of a few operations each are not worth a thread
 
 static inline int64_t blocks_of(int64_t n) { return (n + BLOCK - 1) / BLOCK; }
 static inline int length_of(int64_t block, int64_t n) { return (int)(n - block * BLOCK < BLOCK ? n - block * BLOCK : BLOCK); }
@@ -130,7 +130,7 @@ static inline void choose(const Team& team, const Real* log_weights, Real u, Rea
   double* sums = (double*)(weights + blocks * BLOCK);
   double *squares = sums + blocks + 1, *terms = squares + blocks;
   if (policy != NEVER) {
-    team.each(blocks, ALONE, [=](int64_t b) {
+    team.each(blocks, [=](int64_t b) {
       const Real* __restrict from = log_weights + b * BLOCK;
       Real* __restrict to = weights + b * BLOCK;
       int m = length_of(b, n);
@@ -152,7 +152,7 @@ static inline void choose(const Team& team, const Real* log_weights, Real u, Rea
                 (policy == ENTROPY && __builtin_log((double)n) + term > threshold);
   double scale = (double)n / sums[blocks];
   Real equal = (Real)-__builtin_log((double)n);
-  team.each(blocks, ALONE, [=](int64_t b) {
+  team.each(blocks, [=](int64_t b) {
     int64_t begin = b * BLOCK;
     int m = length_of(b, n);
     Real* __restrict to = log_weights_after + begin;
@@ -171,10 +171,10 @@ static inline void choose(const Team& team, const Real* log_weights, Real u, Rea
 
 // Runs a body for each run of a batch: many runs are shared out over the threads, few are worked through with all threads on each.
 template <class Body>
-static void for_each_run(const Team& team, const Batch& batch, int64_t n, Body body, int64_t alone = ALONE) {
-  if (batch.count >= 2 * team.size() || blocks_of(n) < alone) {
+static void for_each_run(const Team& team, const Batch& batch, int64_t n, Body body) {
+  if (batch.count >= 2 * team.size() || blocks_of(n) < 2) {
     Team single = team.single();
-    team.each(batch.count, 2, [=](int64_t run) { body(run, single); });
+    team.each(batch.count, [=](int64_t run) { body(run, single); });
   } else {
     for (int64_t run = 0; run < batch.count; run++) body(run, team);
   }
@@ -186,7 +186,7 @@ struct Seen { const Real *likelihood, *maximum; };
 // `prepare(batch, run, n)` gives a function of (block, likelihood, maximum) that says where the log likelihoods of a block and the
 // largest that they could be stand; it may fill the two arrays that it is given.
 template <class Prepare>
-static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare, int64_t alone = ALONE) {
+static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare) {
   Operand out = frame.ret(0);
   Batch batch(out, 1);
   int64_t n = out.dims[out.rank - 1], blocks = blocks_of(n);
@@ -196,14 +196,14 @@ static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare, in
     auto see = prepare(batch, run, n);
     Scratch memory(sizeof(Tally) * blocks);
     Tally* tallies = memory.as<Tally>();
-    own.each(blocks, alone, [=](int64_t b) {
+    own.each(blocks, [=](int64_t b) {
       alignas(64) Real likelihood[BLOCK], maximum[BLOCK];
       Seen seen = see(b, likelihood, maximum);
       tallies[b] = tally(before + b * BLOCK, seen.likelihood, seen.maximum, joint + b * BLOCK, length_of(b, n));
     });
     Judgement found = judge(tallies, blocks, batch.of<Real>(frame.ret(1), run));
-    own.each(blocks, 4 * ALONE, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); });
-  }, alone);
+    own.each(blocks, [=](int64_t b) { normalize(joint + b * BLOCK, found, length_of(b, n)); }, LIGHT);
+  });
 }
 
 }  // namespace motes
