@@ -7,12 +7,12 @@ Poisson number of them, of intensity kappa(z) = rate c(z) per unit of measuremen
 """
 
 from collections.abc import Callable
+from math import exp, lgamma, log
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import pdtr
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
@@ -331,10 +331,11 @@ def _distance(angles: tuple[int, ...], rows: jax.Array, means: jax.Array, cov: j
 
 def room_for(rate: float) -> int:
     """Plots that a scan needs room for where so many are false on average: one has more less than once in a million."""
-    needed = int(rate) + 1
-    while 1 - pdtr(needed - 1, rate) > RARE:
+    needed, more = -1, 1.0
+    while more > RARE:
         needed += 1
-    return needed
+        more -= exp(needed * log(rate) - rate - lgamma(needed + 1))
+    return max(needed, int(rate)) + 1
 
 
 def _ask_room(rate: jax.Array, plots: int) -> None:
