@@ -1,15 +1,15 @@
 """Progress of long work on the error stream, where somebody looks."""
 
 from collections.abc import Iterable, Sequence
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from rich.console import Console
-from rich.progress import track
+if TYPE_CHECKING:
+    from rich.console import Console
 
 T = TypeVar("T")
 
 
-def is_shown(console: Console, progress: bool | None) -> bool:
+def is_shown(console: "Console", progress: bool | None) -> bool:
     """Tell whether to draw a bar: as was asked, and on a terminal if nothing was."""
     return console.is_terminal if progress is None else progress
 
@@ -22,5 +22,8 @@ def tracked(items: Sequence[T], label: str, progress: bool | None) -> Iterable[T
         label: beside the bar.
         progress: whether to draw it; where the error stream is a terminal, if None.
     """
+    from rich.console import Console  # here, because every run loads this file, and few need a bar
+    from rich.progress import track
+
     console = Console(stderr=True)
     return track(items, label, console=console, disable=not is_shown(console, progress))

@@ -6,8 +6,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from motes.core import checks
 from motes.core.progress import is_shown
@@ -29,6 +27,9 @@ def pieces(model: Model, measurements: Iterator[Any], inputs: Inputs) -> Iterato
     Raises:
         MotesError: there are no measurements, or there are fewer or more inputs.
     """
+    from rich.console import Console  # here, because every run loads this file, and few need a bar
+    from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     vectors = not all(part.sensor.measures_anything for part in model.each_mode())
     steps = _one_by_one(measurements, vectors)
     first = next(steps, None)

@@ -11,13 +11,13 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 import jax
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
+from jax._src import core  # jax.extend names the same things, and loads what takes a tenth of a start
 from jax.interpreters import batching, mlir
 
-__all__ = ["Literal", "Primitive"]
+Literal, Primitive = core.Literal, core.Primitive
 
 PACKAGE = Path(__file__).parents[1]
-PROGRAMS = (ClosedJaxpr, Jaxpr)
+PROGRAMS = (core.Jaxpr, getattr(core, "ClosedJaxpr", core.Jaxpr))
 """Classes of traced programs; from JAX 0.11 on they are one."""
 
 JITTED: Any = type(jax.jit(lambda: None))
@@ -230,6 +230,4 @@ batching.primitive_batchers[_BEFORE] = lambda values, axes, **params: (_BEFORE.b
 
 def at_top() -> bool:
     """Tell whether nothing is being traced."""
-    from jax._src import core
-
     return core.trace_state_clean()
