@@ -15,6 +15,7 @@ from motes.laws.observed import is_nothing
 from motes.models.interface import circular
 from motes.models.state_space import as_state_space
 from motes.resampling import gradients
+from motes.tracing.compiling import traced_once
 
 INFLATION = 4.0
 """Factor on the covariance when a filter answers a collapse by inflating."""
@@ -165,7 +166,8 @@ class TwoStageFilter(Filter):
 
     def update(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:
         """Take in the measurement y `(y,)` of the present time; NaN means not measured."""
-        after, info = self.correct(key, model, state, y, u, t)
+        # a run has it in two places: step 0, and the loop over all others
+        after, info = traced_once(type(self).correct)(self, key, model, state, y, u, t)
         return self.accept(state, after, info, y)
 
     def step(self, key: jax.Array, model: Any, state: Any, y: jax.Array, u: Any, t: Any) -> tuple[Any, Info]:

@@ -29,7 +29,7 @@ from motes.models.state_space import at_step
 from motes.models.times import Timeline
 from motes.native import report
 from motes.resampling import gradients
-from motes.tracing.compiling import jitted
+from motes.tracing.compiling import jitted, sharing_traces
 from motes.tracing.identity import Beside
 
 
@@ -171,7 +171,7 @@ def _run(
     key: jax.Array, filter: Filter, model: Model, ys: Any, inputs: Inputs, kept: tuple[Keep, Beside], first: Carry | None
 ) -> _Found:
     keep = keeping.with_modes(kept[0], model.modes)
-    with report.collected() as notes:
+    with report.collected() as notes, sharing_traces():
         ready = setup(random.as_key(key), filter, model, at_step(inputs, 0), at_step(ys, 0))
 
         def step(carry: Carry, row: tuple[Any, Inputs]) -> tuple[Carry, tuple[Any, Info]]:

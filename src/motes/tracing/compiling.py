@@ -7,7 +7,9 @@ once, which the scheduler that orders them for concurrency sees to; the other on
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import jax
@@ -49,6 +51,33 @@ class _Jitted:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._alone if _are_needed() else self._within, name)
+
+
+_shared: ContextVar[dict[Any, Any] | None] = ContextVar("shared", default=None)
+
+
+@contextmanager
+def sharing_traces() -> Iterator[None]:
+    """Trace functions under `traced_once` once for all places of a program that is traced inside a `with` block."""
+    token = _shared.set({})
+    try:
+        yield
+    finally:
+        _shared.reset(token)
+
+
+def traced_once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of trees of arrays that is traced once for arguments of equal shapes, inside of `sharing_traces`.
+
+    What it does while it is traced, such as leaving notes, it does once, too.
+    """
+    there = _shared.get()
+    if there is None:
+        return function
+    if function not in there:
+        # a function of its own: what JAX keeps of it goes when the program is whole
+        there[function] = jax.jit(lambda *arguments: function(*arguments), inline=True)
+    return there[function]
 
 
 @functools.cache
