@@ -103,6 +103,59 @@ def test_drawn_scans_have_the_density_that_they_are_weighed_by(double):
     assert abs(ratios.mean() - 1) / (ratios.std() / np.sqrt(draws)) < norm.isf(LEVEL / 2)
 
 
+def exact_moments(m, P, places, plots, p, log_intensity):
+    """Log evidence, mean and covariance of the mixture over all associations of targets whose places are among the states."""
+    terms, means, covs = [], [], []
+    for chosen in set(permutations([*range(len(plots)), *[-1] * len(places)], len(places))):
+        given = [(place, plots[j]) for place, j in zip(places, chosen, strict=True) if j >= 0]
+        H = np.eye(len(m))[[place for place, _ in given]]
+        S, off = H @ P @ H.T + VARIANCE * np.eye(len(given)), np.array([z for _, z in given]) - H @ m
+        gain = P @ H.T @ np.linalg.inv(S)
+        term = (len(plots) - len(given)) * log_intensity - 1.5 + len(given) * np.log(p) + (len(places) - len(given)) * np.log1p(-p)
+        terms.append(term - 0.5 * (off @ np.linalg.solve(S, off) + np.linalg.slogdet(2 * np.pi * S)[1]))
+        means.append(m + gain @ off)
+        covs.append(P - gain @ H @ P)
+    whole, means = logsumexp(terms), np.array(means)
+    shares = np.exp(np.array(terms) - whole)
+    mean = shares @ means
+    return whole, mean, np.einsum("k,kij->ij", shares, np.array(covs)) + np.einsum("k,ki,kj->ij", shares, means - mean, means - mean)
+
+
+OF_GAUSSIANS = (mo.KalmanFilter(), mo.UnscentedKalmanFilter(), mo.InteractingMultipleModel())
+
+
+@pytest.mark.parametrize("filter", OF_GAUSSIANS, ids=lambda filter: type(filter).__name__)
+def test_gaussian_filters_keep_the_moments_of_all_associations(double, filter):
+    """Joint data association of independent linear targets: evidence and each target's mean and covariance are exact."""
+    sensor = mo.laws.SeveralTargets(one(detection=0.8, plots=40), (("a", "v_a"), ("c", "b")))
+    own, m = np.array([[1.0, 0.3], [0.3, 0.5]]), np.array([0.2, 1.0, 0.5, -0.3, 0.9])
+    P = np.block([[own, np.zeros((2, 3))], [np.zeros((2, 2)), 2 * own, np.zeros((2, 1))], [np.zeros((1, 4)), np.eye(1)]])
+    dynamics = mo.AdditiveGaussian(lambda x, u, t: x, 0.1 * np.eye(5))
+    # the second target's states stand in another order in the model than in its sensor
+    model = mo.StateSpaceModel(mo.Gaussian(m, P), dynamics, sensor, ("a", "v_a", "b", "c", "rest"))
+    many = [0.1, 0.4, 0.45, 2.0, -3.0, 1.0, -1.0, 3.5, 0.0, -0.2, *[3.9] * 10]
+    for plots in ([], [0.3], [0.2, 0.9, -0.4], many):
+        history = mo.run(0, filter, model, mo.plots([np.reshape(plots, (-1, 1))]))
+        evidence, mean, cov = exact_moments(m, P, (0, 3), plots, 0.8, np.log(1.5 / 8))
+        np.testing.assert_allclose(history.log_likelihood, evidence, rtol=1e-9)
+        np.testing.assert_allclose(history.mean[0], mean, rtol=1e-9, atol=1e-9)
+        for states in ([0, 1], [2, 3], [4]):
+            np.testing.assert_allclose(history.cov[0][np.ix_(states, states)], cov[np.ix_(states, states)], rtol=1e-8, atol=1e-9)
+
+
+def test_what_is_correlated_with_a_target_moves_with_it(double):
+    """One target whose sensor's bias is a state besides: the same as the filter of the whole."""
+    P = np.array([[1.0, 0.3, 0.4], [0.3, 0.5, 0.2], [0.4, 0.2, 2.0]])
+    start, move = mo.Gaussian(np.zeros(3), P), mo.AdditiveGaussian(lambda x, u, t: 0.9 * x, 0.1 * np.eye(3))
+    names, scans = ("a", "v_a", "rest"), mo.plots([np.array([[0.3], [1.2]]), np.zeros((0, 1)), np.array([[-0.2]])])
+    alone, among = (mo.StateSpaceModel(start, move, sensor, names)
+                    for sensor in (one(0.8), mo.laws.SeveralTargets(one(0.8), (("a", "v_a"),))))  # fmt: skip
+    wanted, found = (mo.run(0, mo.KalmanFilter(), model, scans) for model in (alone, among))
+    np.testing.assert_allclose(found.mean, wanted.mean, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(found.cov, wanted.cov, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(found.log_likelihood, wanted.log_likelihood, rtol=1e-10)
+
+
 def test_what_cannot_be_is_refused():
     for arguments, words in (
         ((3, (("a",),)), "SeveralTargets one: expected a Cluttered sensor"),

@@ -8,6 +8,7 @@ from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveNoise, Conditional
 from motes.laws.custom import Custom
 from motes.laws.independent import Together
+from motes.laws.several_targets import SeveralTargets
 from motes.models import jump_markov
 from motes.models.interface import Model
 from motes.models.jump_markov import JumpMarkovModel
@@ -90,7 +91,8 @@ def as_jump_markov(asked_by: str, model: Any) -> JumpMarkovModel:
 def of_one_plot(model: StateSpaceModel) -> list[StateSpaceModel]:
     """Return the models of which a Gaussian filter asks moments: of each of several sensors, and of one plot where it measures sets."""
     sensors = model.sensor.parts if isinstance(model.sensor, Together) else (model.sensor,)
-    return [replace(model, sensor=part.sensor if isinstance(part, Cluttered) else part) for part in sensors]
+    of_plots = [each for part in sensors for each in (part.of_each() if isinstance(part, SeveralTargets) else [part])]
+    return [replace(model, sensor=part.sensor if isinstance(part, Cluttered) else part) for part in of_plots]
 
 
 def _check_moments(asked_by: str, model: StateSpaceModel) -> None:

@@ -1,12 +1,18 @@
-"""Probabilistic data association (Bar-Shalom, Li 1995, section 3.4): a Gaussian conditioned on a set of plots of which one may be its own.
+"""Probabilistic data association (Bar-Shalom, Li 1995, sections 3.4 and 6.2): a Gaussian conditioned on a set of plots.
+
+One may be its own:
 
 1. Condition on each plot alone, as if it were the target's: m_j, P_j, and the predictive density p(z_j).
 2. Weigh them: beta_j = P_D p(z_j) / kappa(z_j), and beta_0 = 1 - P_D for none of them, brought to the sum of one.
 3. Keep mean and covariance of the mixture, P = sum_j beta_j (P_j + (m_j - m)(m_j - m)'), in which is the spread of the innovations.
 
+Of several targets (JPDA) the weights of step 2 are those of all associations together, in which each plot is of one target at most; each
+target is then conditioned as above, and what else there is follows its correlation with it.
+
 Conditioning is by any rule for moments. The probability of detection is taken at the predicted mean.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -18,6 +24,7 @@ from motes.laws.cluttered import CHUNK, Cluttered
 from motes.laws.conditional import Conditional
 from motes.laws.gaussian import Correction, Gaussian
 from motes.laws.independent import Together
+from motes.laws.several_targets import SeveralTargets, associated, gained, missed
 
 
 def conditioned(rule: Rule, sensor: Conditional, law: Gaussian, y: Any, u: Any, t: Any) -> Correction:
@@ -36,26 +43,79 @@ def conditioned(rule: Rule, sensor: Conditional, law: Gaussian, y: Any, u: Any, 
     """
     if isinstance(sensor, Together):
         return _in_turn(rule, sensor, law, y, u, t)
+    if isinstance(sensor, SeveralTargets):
+        return _of_several(rule, sensor, law, y, u, t)
     if not isinstance(sensor, Cluttered):
         return rule.measured(sensor, law, y, u, t)
     shared, probability = sensor.shared(y.value), sensor.detected(law.center, u, t)
     hit, miss = jnp.log(probability), shared.missed + jnp.log1p(-probability)
-    rows, gains, own = y.value, shared.gains, sensor.sensor
 
     def over(rows: jax.Array, gains: jax.Array) -> Correction:
-        each = jax.vmap(lambda z: rule.measured(own, law, z, u, t))(rows)
-        done = _mixture(law, each, hit + gains.reshape(-1, *[1] * (law.center.ndim - 1)), miss)
-        return done._replace(log_evidence=shared.base + done.log_evidence, max_log_evidence=shared.base + done.max_log_evidence)
+        each = _each(rule, sensor, law, rows, u, t)
 
-    if rows.shape[0] <= CHUNK:
-        return over(rows, gains)
-    # of many plots those that no Gaussian can tell from clutter are left out, where few are left then
-    expected = rule.through(own, law, u, t)
-    means, cov = (expected.center[:, None], expected.covariance) if law.center.ndim == 1 else (expected.center, expected.covariance)
-    wanted = sensor.wanted(rows, gains, jnp.min(miss), means, cov)
-    order = jnp.argsort(~wanted)
-    few = order[:CHUNK]
-    return jax.lax.cond(jnp.sum(wanted) <= CHUNK, lambda: over(rows[few], gains[few]), lambda: over(rows, gains))
+        def total(log_density: jax.Array) -> jax.Array:
+            terms = hit + jnp.where(jnp.isfinite(_by_plot(gains, law)), _by_plot(gains, law) + log_density, -jnp.inf)
+            return jnp.concatenate([jnp.broadcast_to(miss, (1, *terms.shape[1:])), terms])
+
+        terms = total(each.log_evidence)
+        evidence, highest = (jax.nn.logsumexp(one, axis=0) for one in (terms, total(each.max_log_evidence)))
+        shares = jnp.exp(terms - jnp.where(jnp.isfinite(evidence), evidence, 0))
+        after = _joined(law, each.law, shares, ~jnp.isfinite(evidence))
+        return Correction(after, shared.base + evidence, shared.base + highest)
+
+    wanted = _wanted(sensor, rule.through(sensor.sensor, law, u, t), y.value, shared.gains, miss)
+    return _over_few(over, wanted, CHUNK, y.value, shared.gains)
+
+
+def _of_several(rule: Rule, sensor: SeveralTargets, law: Gaussian, y: Any, u: Any, t: Any) -> Correction:
+    """Condition on a scan of several targets."""
+    one, shared, parts = sensor.one, sensor.shared(y.value), [law.part(own) for own in sensor.indices]
+    probabilities = [one.detected(part.center, u, t) for part in parts]
+    misses = [missed(jnp.broadcast_to(p, law.center.shape[1:])) for p in probabilities]
+    wanted = shared.certain
+    for part, miss in zip(parts, misses, strict=True):
+        wanted |= _wanted(one, rule.through(one.sensor, part, u, t), y.value, shared.gains, miss)
+
+    def over(rows: jax.Array, gains: jax.Array, false: jax.Array) -> Correction:
+        each = [_each(rule, one, part, rows, u, t) for part in parts]
+
+        def hits(of: Callable[[Correction], jax.Array]) -> list[jax.Array]:
+            return [jnp.log(p) + gained(_by_plot(gains, law), of(done)) for p, done in zip(probabilities, each, strict=True)]
+
+        evidence, shares = associated(hits(lambda done: done.log_evidence), misses, false)
+        highest, _ = associated(hits(lambda done: done.max_log_evidence), misses, false)
+        after = law
+        for own, share in zip(sensor.indices, shares, strict=True):
+            # targets that are correlated have moved with those before
+            part = after.part(own)
+            after = after.with_part(own, _joined(part, _each(rule, one, part, rows, u, t).law, share, ~jnp.isfinite(evidence)))
+        return Correction(after, shared.base + evidence, shared.base + highest)
+
+    return _over_few(over, wanted, CHUNK * len(parts), y.value, shared.gains, shared.false)
+
+
+def _each(rule: Rule, sensor: Cluttered, law: Gaussian, rows: jax.Array, u: Any, t: Any) -> Correction:
+    """Condition on each plot `(K, z)` as if it were the target's; the axis of plots is the first."""
+    return jax.vmap(lambda z: rule.measured(sensor.sensor, law, z, u, t))(rows)
+
+
+def _by_plot(values: jax.Array, law: Gaussian) -> jax.Array:
+    """Give numbers of plots `(K,)` the axes of a batch of laws."""
+    return values.reshape(-1, *[1] * (law.center.ndim - 1))
+
+
+def _wanted(sensor: Cluttered, expected: Gaussian, rows: jax.Array, gains: jax.Array, miss: jax.Array) -> jax.Array:
+    """Tell which plots a Gaussian, or any of a batch, can tell from clutter, `(K,)`, given the law of its own."""
+    means = expected.center[:, None] if expected.center.ndim == 1 else expected.center
+    return sensor.wanted(rows, gains, jnp.min(miss), means, expected.covariance)
+
+
+def _over_few(over: Callable[..., Correction], wanted: jax.Array, room: int, *plots: jax.Array) -> Correction:
+    """Take in the plots of a scan; of more than there is room for only those that are wanted, where they are few."""
+    if wanted.shape[0] <= room:
+        return over(*plots)
+    few = jnp.argsort(~wanted)[:room]
+    return jax.lax.cond(jnp.sum(wanted) <= room, lambda: over(*(each[few] for each in plots)), lambda: over(*plots))
 
 
 def _in_turn(rule: Rule, sensor: Together, law: Gaussian, y: Any, u: Any, t: Any) -> Correction:
@@ -69,30 +129,19 @@ def _in_turn(rule: Rule, sensor: Together, law: Gaussian, y: Any, u: Any, t: Any
     return Correction(law, evidence, highest)
 
 
-def _mixture(law: Gaussian, each: Correction, gains: jax.Array, miss: jax.Array) -> Correction:
-    """Keep mean and covariance of a Gaussian and of what each plot makes of it (steps 2 and 3).
+def _joined(law: Gaussian, each: Gaussian, shares: jax.Array, lost: jax.Array) -> Gaussian:
+    """Keep mean and covariance of a Gaussian and of what each plot makes of it (step 3).
 
     Args:
         law: before.
         each: given each plot, the axis of plots first.
-        gains: logs of what each plot's density is multiplied by, `(K, *n)`; minus infinity where there is no plot.
-        miss: log weight of no plot.
+        shares: probabilities of no plot and of each, `(1 + K, *n)`.
+        lost: where nothing explains the scan, `(*n)`; the law stays: zero weight would not hide moments of zero.
     """
-
-    def joined(log_density: jax.Array) -> jax.Array:
-        none = jnp.broadcast_to(miss, (1, *log_density.shape[1:]))
-        return jnp.concatenate([none, jnp.where(jnp.isfinite(gains), gains + log_density, -jnp.inf)])
-
-    terms = joined(each.log_evidence)
-    total = jax.nn.logsumexp(terms, axis=0)
-    shares = jnp.exp(terms - jnp.where(jnp.isfinite(total), total, 0))
-    centers = jnp.concatenate([law.center[None], each.law.center])
-    covs = jnp.concatenate([jnp.broadcast_to(law.covariance, each.law.covariance.shape[1:])[None], each.law.covariance])
+    centers = jnp.concatenate([law.center[None], each.center])
+    covs = jnp.concatenate([jnp.broadcast_to(law.covariance, each.covariance.shape[1:])[None], each.covariance])
     off = centers - law.center
     middle = jnp.sum(shares[:, None] * off, axis=0)
     off = off - middle
     spread = jnp.sum(shares[:, None, None] * (covs + off[:, :, None] * off[:, None]), axis=0)
-    # where nothing explains the scan the law stays: zero weight would not hide moments of zero
-    lost = ~jnp.isfinite(total)
-    after = Gaussian(jnp.where(lost, law.center, law.center + middle), jnp.where(lost, covs[0], linalg.symmetric(spread)))
-    return Correction(after, total, jax.nn.logsumexp(joined(each.max_log_evidence), axis=0))
+    return Gaussian(jnp.where(lost, law.center, law.center + middle), jnp.where(lost, covs[0], linalg.symmetric(spread)))

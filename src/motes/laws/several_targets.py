@@ -9,7 +9,8 @@ Plots are taken one after the other; for each set S of targets F(S) sums over th
 F(S) <- F(S) + sum over i in S of F(S without i) P_D(x_i) p(z_j | x_i) / kappa(z_j). That is exact, at the cost of T 2^(T - 1) sums a plot.
 """
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
 from motes.laws.cluttered import Cluttered, in_chunks, room_for
-from motes.laws.conditional import Conditional
+from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.law import Law
 from motes.laws.observed import Observed, value_of
 
@@ -32,7 +33,7 @@ class SeveralTargets(Conditional):
     """A sensor whose scans hold plots of several targets, whose states follow each other in that of the model.
 
     Particle filters weigh by the exact sum over associations, also where targets cross. The marginalized filter carries what plots do not
-    look at, for all targets.
+    look at, for all targets. Gaussian filters take scans as joint probabilistic data association (JPDA).
 
     Source: Bar-Shalom, Li 1995, Multitarget-Multisensor Tracking; Mahler 2007, Statistical Multisource-Multitarget Information Fusion.
 
@@ -87,6 +88,21 @@ class SeveralTargets(Conditional):
         found = tuple(tuple(places[state] % len(names) for state in own) for own in self.targets)
         return replace(self, targets=found, one=self.one.of_states(tuple(names[place] for place in found[0])))
 
+    def of_each(self) -> list[Conditional]:
+        """Return for each target what a plot of it is, given the whole state; the sensor itself where it has no moments."""
+        sensor = self.one.sensor
+
+        def of(own: tuple[int, ...]) -> Conditional:
+            def mean(x: jax.Array, u: Any, t: Any) -> jax.Array:
+                return sensor.mean(linalg.take(x, own), u, t)
+
+            def cov(x: jax.Array, u: Any, t: Any) -> jax.Array:
+                return sensor.cov(linalg.take(x, own), u, t)
+
+            return AdditiveGaussian(mean, cov, angles=sensor.angles)
+
+        return [of(own) for own in self.indices] if sensor.has_moments else [sensor]
+
     def packed(self, ys: Any) -> Observed:
         """Return scans with room for as many plots as the sensor of one target says."""
         return self.one.packed(ys)
@@ -97,7 +113,8 @@ class SeveralTargets(Conditional):
 
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Refuse: a set has no mean."""
-        checks.refuse("SeveralTargets", "a sensor with a mean and a covariance", "one of sets of plots", "Use a particle filter.")
+        checks.refuse("SeveralTargets", "a sensor with a mean and a covariance", "one of sets of plots",
+                      "Use a particle filter, or a Gaussian filter.")
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> Observed:
         """Draw one scan for each particle, plots `(K, z, n)`, those that are not there NaN, in an order that tells nothing."""
@@ -107,43 +124,104 @@ class SeveralTargets(Conditional):
     def log_prob(self, value: Any, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density of a scan given each particle, `(n,)`; see `Cluttered`."""
         rows, one, n = jnp.asarray(value_of(value)), self.one, X.shape[-1]
-        there = ~jnp.all(jnp.isnan(rows), axis=1)
-        log_intensity, none_false = one.log_intensity(rows)
-        possible = jnp.isfinite(log_intensity)
-        base = none_false + jnp.sum(jnp.where(there & possible, log_intensity, 0))
-        gains = jnp.where(there, jnp.where(possible, -log_intensity, 0), -jnp.inf)
-        false = jnp.where(there & ~possible, NEVER, 0).astype(rows.dtype)
+        shared = self.shared(rows)
         own = [linalg.take(X, states) for states in self.indices]
         probabilities = [jnp.broadcast_to(one.detected(x, u, t), (n,)) for x in own]
-        misses = [jnp.maximum(jnp.log1p(-p), NEVER) for p in probabilities]
+        misses = [missed(p) for p in probabilities]
         seen = [one.of_plots(x, u, t) for x in own]
-        wanted = there & ~possible
+        wanted = shared.certain
         for miss, each in zip(misses, seen, strict=True):
-            wanted |= one.seen_by_any(rows, gains, miss, each)
+            wanted |= one.seen_by_any(rows, shared.gains, miss, each)
 
         def plot(totals: jax.Array, now: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
             z, gain, false = now
-            hits = [jnp.log(p) + jnp.where(jnp.isfinite(gain), gain + each.density(z), NEVER)
-                    for p, each in zip(probabilities, seen, strict=True)]  # fmt: skip
+            hits = [jnp.log(p) + gained(gain, each.density(z)) for p, each in zip(probabilities, seen, strict=True)]
             return _with_plot(totals, hits, false), None
 
         def with_plots(totals: jax.Array, *plots: Any) -> jax.Array:
             return jax.lax.scan(plot, totals, plots)[0]
 
         start = jnp.full((2 ** len(own), n), NEVER, X.dtype).at[0].set(0)
-        totals = in_chunks(with_plots, start, wanted, (rows, jnp.nan), (gains, -jnp.inf), (false, 0.0))
-        whole = jax.nn.logsumexp(jnp.stack([
-            total + sum(miss for i, miss in enumerate(misses) if not taken >> i & 1) for taken, total in enumerate(totals)
-        ]), axis=0)  # fmt: skip
-        return jnp.where(whole < 0.5 * NEVER, -jnp.inf, base + whole)
+        totals = in_chunks(with_plots, start, wanted, (rows, jnp.nan), (shared.gains, -jnp.inf), (shared.false, 0.0))
+        return shared.base + _whole(totals, misses)
+
+    def shared(self, rows: jax.Array) -> "Shared":
+        """Work out what all particles share of a scan `(K, z)`."""
+        there = ~jnp.all(jnp.isnan(rows), axis=1)
+        log_intensity, none_false = self.one.log_intensity(rows)
+        possible = jnp.isfinite(log_intensity)
+        base = none_false + jnp.sum(jnp.where(there & possible, log_intensity, 0))
+        gains = jnp.where(there, jnp.where(possible, -log_intensity, 0), -jnp.inf)
+        certain = there & ~possible
+        return Shared(base, gains, jnp.where(certain, NEVER, 0).astype(rows.dtype), certain)
+
+
+class Shared(NamedTuple):
+    """What all particles share of a scan.
+
+    Attributes:
+        base: log likelihood if all plots were false, `()`; plots where no false ones can be are left out.
+        gains: what the log density of a plot is added to where it is a target's, `(K,)`; minus infinity where there is none.
+        false: log of what a plot brings if it is nobody's, `(K,)`: 0, or `NEVER`.
+        certain: whether a plot must be a target's, `(K,)`.
+    """
+
+    base: jax.Array
+    gains: jax.Array
+    false: jax.Array
+    certain: jax.Array
+
+
+def missed(probability: jax.Array) -> jax.Array:
+    """Log probability of no plot, of targets seen with some probability."""
+    return jnp.maximum(jnp.log1p(-probability), NEVER)
+
+
+def gained(gains: jax.Array, log_density: jax.Array) -> jax.Array:
+    """Log of what a plot brings if it is a target's, given its log density; `NEVER` where there is no plot."""
+    return jnp.where(jnp.isfinite(gains), gains + log_density, NEVER)
+
+
+def associated(hits: Sequence[jax.Array], misses: Sequence[jax.Array], false: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+    """Sum over all associations, and say how probable it is of each target that a plot is its own.
+
+    The sum is linear in what a target makes of a plot, so that its logarithm's derivative by that of the term is the term's share.
+
+    Args:
+        hits: of each target, log of what each plot brings if it is the target's, `(K, *n)`.
+        misses: of each target, log probability of no plot, `(*n)`.
+        false: log of what each plot brings if it is nobody's, `(K,)`.
+
+    Returns:
+        The log of the sum `(*n)`, and for each target the probabilities of no plot and of each `(1 + K, *n)`.
+    """
+
+    def total(hits: list[jax.Array], misses: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
+        def plot(totals: jax.Array, now: tuple[list[jax.Array], jax.Array]) -> tuple[jax.Array, None]:
+            return _with_plot(totals, *now), None
+
+        start = jnp.full((2 ** len(hits), *misses[0].shape), NEVER, misses[0].dtype).at[0].set(0)
+        found = _whole(jax.lax.scan(plot, start, (hits, false))[0], misses)
+        return jnp.sum(jnp.where(jnp.isfinite(found), found, 0)), found
+
+    (_, found), (of_plots, of_none) = jax.value_and_grad(total, (0, 1), has_aux=True)(list(hits), list(misses))
+    return found, [jnp.concatenate([none[None], plots]) for none, plots in zip(of_none, of_plots, strict=True)]
+
+
+def _whole(totals: jax.Array, misses: Sequence[jax.Array]) -> jax.Array:
+    """Sum `(2^T, *n)` over the sets of targets that have a plot; those that have none are missed."""
+    found = jax.nn.logsumexp(jnp.stack([
+        total + sum(miss for i, miss in enumerate(misses) if not taken >> i & 1) for taken, total in enumerate(totals)
+    ]), axis=0)  # fmt: skip
+    return jnp.where(found < 0.5 * NEVER, -jnp.inf, found)
 
 
 def _with_plot(totals: jax.Array, hits: list[jax.Array], false: jax.Array) -> jax.Array:
-    """Take one more plot into the sums `(2^T, n)` over associations, by the set of targets that have a plot, as the bits of its number.
+    """Take one more plot into the sums `(2^T, *n)` over associations, by the set of targets that have a plot, as the bits of its number.
 
     Args:
         totals: before.
-        hits: of each target, what it brings if the plot is its own, `(n,)`.
+        hits: of each target, what it brings if the plot is its own, `(*n)`.
         false: what it brings if it is nobody's, `()`.
     """
     found = []
