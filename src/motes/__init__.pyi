@@ -37,6 +37,7 @@ from .filters.gaussian_sum import GaussianSumParticleFilter as GaussianSumPartic
 from .filters.history import History as History
 from .filters.interacting_multiple_model import InteractingMultipleModel as InteractingMultipleModel
 from .filters.interface import Filter as Filter
+from .filters.jpda_particle import JPDAParticleFilter as JPDAParticleFilter
 from .filters.jump_markov import JumpMarkovFilter as JumpMarkovFilter
 from .filters.kalman import KalmanFilter as KalmanFilter
 from .filters.kernel import KalmanParticleKernelFilter as KalmanParticleKernelFilter

@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 import motes as mo
+from motes.laws import association
 
 pytestmark = pytest.mark.jax
 
@@ -156,10 +157,76 @@ def test_what_is_correlated_with_a_target_moves_with_it(double):
     np.testing.assert_allclose(found.log_likelihood, wanted.log_likelihood, rtol=1e-10)
 
 
+@pytest.mark.parametrize("plots", [[], [0.2, 0.9, -0.4], [0.1, 0.4, 0.45, 2.0, -3.0, *range(900, 920)]], ids=len)
+def test_clouds_of_targets_are_weighed_by_all_associations(double, plots):
+    """As all pairs of particles together would be, brought down to each target: five particles each, all 25 pairs."""
+    sensor, rng = several(2, clutter=0.02, plots=30), np.random.default_rng(3)
+    X, weights = rng.normal(size=(4, 5)), rng.dirichlet(np.ones(5), size=2)
+    clouds = mo.laws.TargetClouds.of(jnp.asarray(X), sensor.indices)
+    clouds = mo.replace(clouds, clouds=mo.replace(clouds.clouds, log_weights=jnp.log(weights)))
+    model = mo.StateSpaceModel(mo.Gaussian(np.zeros(4), np.eye(4)), mo.AdditiveGaussian(lambda x, u, t: x, np.eye(4)), sensor, NAMES[:4])
+    y = jax.tree.map(lambda leaf: leaf[0], model.sensor.packed(mo.plots([np.reshape(plots, (-1, 1))])))
+    after, info = mo.JPDAParticleFilter(n=5).correct(jax.random.key(0), model, clouds, y, None, 0)
+    first, second = np.repeat(np.arange(5), 5), np.tile(np.arange(5), 5)
+    joint = enumerated(np.concatenate([X[:2, first], X[2:, second]]), plots, 2, seen, lambda z: np.log(0.02), 0.0)
+    joint += np.log(weights[0][first] * weights[1][second])
+    whole = logsumexp(joint)
+    joint = np.exp(joint - whole).reshape(5, 5)
+    np.testing.assert_allclose(info.log_evidence, whole, rtol=1e-9)
+    np.testing.assert_allclose(after.clouds.weights[0], joint.sum(axis=1), rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(after.clouds.weights[1], joint.sum(axis=0), rtol=1e-8, atol=1e-12)
+
+
+def test_messages_between_targets_and_plots(double):
+    """Exact where no targets share two plots (a chain), near the exact sum elsewhere; one target, impossible and certain plots."""
+    rng = np.random.default_rng(0)
+    chain = np.full((4, 5), association.NEVER)
+    for i in range(4):
+        chain[i, i : i + 2] = 3 * rng.normal(size=2)
+    others = [2 * rng.normal(size=(5, 7)) for _ in range(20)]
+    for place, hits in enumerate([chain, chain[:1], 40 + chain, *others]):
+        false = np.zeros(hits.shape[1])
+        if place == 0:
+            false[2] = association.NEVER  # must be a target's
+        misses = np.log(rng.uniform(0.05, 0.6, len(hits)))
+        given = (list(map(jnp.asarray, hits)), list(map(jnp.asarray, misses)), jnp.asarray(false))
+        (wanted, exact), (total, found) = jax.jit(association._summed)(*given), jax.jit(association._by_messages)(*given)
+        near = 1e-9 if place < 3 else 0.1
+        np.testing.assert_allclose(found, np.stack(exact), rtol=0, atol=near)
+        np.testing.assert_allclose(total, wanted, rtol=0, atol=2 * near)
+        np.testing.assert_allclose(np.sum(found, axis=1), 1.0, rtol=1e-9)
+
+
+def test_many_targets_and_what_is_refused_of_them():
+    """Seven targets, more than are summed over, which pass each other in a line: none lost by either filter with a law for each."""
+    count, steps = 7, 30
+    names = tuple(f"{what}{i}" for i in range(count) for what in ("x", "v"))
+    A, Q = np.array([[1.0, 1.0], [0.0, 1.0]]), 0.01 * np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
+    start = np.array([[6.0 * i, -0.3 * (-1) ** i] for i in range(count)]).ravel()
+    sensor = mo.Cluttered(mo.AdditiveGaussian(lambda x, u, t: x[:1], [[0.1]]), 0.9, clutter=(3.0, mo.Uniform([-20.0], [80.0])), plots=40)
+    targets = tuple(names[2 * i : 2 * i + 2] for i in range(count))
+    initial, dynamics = mo.Gaussian(start, 0.1 * np.eye(2 * count)), mo.LinearGaussian(np.kron(np.eye(count), A), np.kron(np.eye(count), Q))
+    model = mo.StateSpaceModel(initial, dynamics, mo.laws.SeveralTargets(sensor, targets), names)
+    xs, ys = mo.simulate(2, model, steps)
+    for filter in (mo.KalmanFilter(), mo.JPDAParticleFilter(n=500)):
+        history = mo.run(1, filter, model, ys)
+        error = np.asarray(history.mean - xs)[:, ::2]
+        assert np.abs(error[-1]).max() < 2 and np.sqrt(np.mean(error**2)) < 0.45
+        assert np.isfinite(history.log_likelihood)
+    with pytest.raises(mo.MotesError, match="SeveralTargets targets: expected at most 6, .*, got 7"):
+        mo.run(1, mo.ParticleFilter(n=500), model, ys)
+    together = mo.LinearGaussian(np.kron(np.eye(count), A) + 0.1 * np.eye(2 * count, k=2), np.kron(np.eye(count), Q))
+    with pytest.raises(mo.MotesError, match="JPDAParticleFilter dynamics: expected independent targets, got x0 that depends on x1"):
+        mo.run(1, mo.JPDAParticleFilter(n=500), mo.replace(model, dynamics=together), ys)
+    fewer = mo.replace(model, sensor=mo.laws.SeveralTargets(sensor, targets[:-1]).of_states(names))
+    with pytest.raises(mo.MotesError, match="JPDAParticleFilter model: expected a target for each state, got none for x6"):
+        mo.run(1, mo.JPDAParticleFilter(n=500), fewer, ys)
+
+
 def test_what_cannot_be_is_refused():
     for arguments, words in (
         ((3, (("a",),)), "SeveralTargets one: expected a Cluttered sensor"),
-        ((one(), (("a", "v_a"), ("b",))), "SeveralTargets targets: expected 1 to 6 targets of the same number of states"),
+        ((one(), (("a", "v_a"), ("b",))), "SeveralTargets targets: expected 1 to 100 targets of the same number of states"),
         ((one(), (("a", "v_a"), ("a", "v_b"))), "SeveralTargets targets: expected states of their own, got 'a' for two"),
         ((one(plots=11), (("a", "v_a"), ("b", "v_b"))), "SeveralTargets plots: expected at least 12 for 2 targets, got 11"),
     ):
@@ -198,14 +265,16 @@ def test_velocities_of_all_targets_go_to_the_kalman_part():
 
 
 @pytest.mark.night
-def test_targets_that_cross_are_kept_apart():
+@pytest.mark.parametrize("filter", [mo.MarginalizedParticleFilter(n=1_000), mo.JPDAParticleFilter(n=1_000), mo.KalmanFilter()],
+                         ids=lambda filter: type(filter).__name__)  # fmt: skip
+def test_targets_that_cross_are_kept_apart(filter):
     """50 runs of 80 scans, 10 false plots each, detection 0.9: none lost, at most 2 exchanged; the genie knows which plot is whose."""
     plain, scanned = crossing()
 
     def one_run(key):
         keys = jax.random.split(key, 4)
         xs, ys = mo.simulate(keys[0], scanned, 80)
-        tracked = mo.run(keys[1], mo.MarginalizedParticleFilter(n=1_000), scanned, ys, keep=mo.keep.means).mean
+        tracked = mo.run(keys[1], filter, scanned, ys, keep=mo.keep.means).mean
         true, own = mo.simulate(keys[2], plain, 80)
         own = jnp.where(jnp.repeat(jax.random.uniform(keys[3], (80, 2)) < 0.9, 2, axis=1), own, jnp.nan)
         return tracked, xs, mo.run(keys[1], mo.KalmanFilter(), plain, own, keep=mo.keep.means).mean, true

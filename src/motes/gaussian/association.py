@@ -12,19 +12,21 @@ target is then conditioned as above, and what else there is follows its correlat
 Conditioning is by any rule for moments. The probability of detection is taken at the predicted mean.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import linalg
 from motes.gaussian.rule import Rule
-from motes.laws.cluttered import CHUNK, Cluttered
+from motes.laws.association import associated, gained, missed
+from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import Conditional
 from motes.laws.gaussian import Correction, Gaussian
 from motes.laws.independent import Together
-from motes.laws.several_targets import SeveralTargets, associated, gained, missed
+from motes.laws.near_plots import CHUNK, over_few
+from motes.laws.several_targets import SeveralTargets
 
 
 def conditioned(rule: Rule, sensor: Conditional, law: Gaussian, y: Any, u: Any, t: Any) -> Correction:
@@ -51,7 +53,7 @@ def conditioned(rule: Rule, sensor: Conditional, law: Gaussian, y: Any, u: Any, 
     hit, miss = jnp.log(probability), shared.missed + jnp.log1p(-probability)
 
     def over(rows: jax.Array, gains: jax.Array) -> Correction:
-        each = _each(rule, sensor, law, rows, u, t)
+        each = _of_each_plot(rule, sensor, law, rows, u, t)
 
         def total(log_density: jax.Array) -> jax.Array:
             terms = hit + jnp.where(jnp.isfinite(_by_plot(gains, law)), _by_plot(gains, law) + log_density, -jnp.inf)
@@ -60,41 +62,52 @@ def conditioned(rule: Rule, sensor: Conditional, law: Gaussian, y: Any, u: Any, 
         terms = total(each.log_evidence)
         evidence, highest = (jax.nn.logsumexp(one, axis=0) for one in (terms, total(each.max_log_evidence)))
         shares = jnp.exp(terms - jnp.where(jnp.isfinite(evidence), evidence, 0))
-        after = _joined(law, each.law, shares, ~jnp.isfinite(evidence))
+        after = _collapsed(law, each.law, shares, ~jnp.isfinite(evidence))
         return Correction(after, shared.base + evidence, shared.base + highest)
 
     wanted = _wanted(sensor, rule.through(sensor.sensor, law, u, t), y.value, shared.gains, miss)
-    return _over_few(over, wanted, CHUNK, y.value, shared.gains)
+    return over_few(over, wanted, CHUNK, y.value, shared.gains)
 
 
 def _of_several(rule: Rule, sensor: SeveralTargets, law: Gaussian, y: Any, u: Any, t: Any) -> Correction:
-    """Condition on a scan of several targets."""
-    one, shared, parts = sensor.one, sensor.shared(y.value), [law.part(own) for own in sensor.indices]
-    probabilities = [one.detected(part.center, u, t) for part in parts]
-    misses = [missed(jnp.broadcast_to(p, law.center.shape[1:])) for p in probabilities]
-    wanted = shared.certain
-    for part, miss in zip(parts, misses, strict=True):
-        wanted |= _wanted(one, rule.through(one.sensor, part, u, t), y.value, shared.gains, miss)
+    """Condition on a scan of several targets, which are an axis, the first."""
+    one, shared, own = sensor.one, sensor.shared(y.value), np.array(sensor.indices)
+    parts = jax.vmap(law.reordered)(own)
+
+    def seen(part: Gaussian) -> jax.Array:
+        return jnp.broadcast_to(one.detected(part.center, u, t), law.center.shape[1:])
+
+    probabilities = jax.vmap(seen)(parts)
+    hit, miss = jnp.log(probabilities), missed(probabilities)
+
+    def needs(part: Gaussian, miss: jax.Array) -> jax.Array:
+        return _wanted(one, rule.through(one.sensor, part, u, t), y.value, shared.gains, miss)
 
     def over(rows: jax.Array, gains: jax.Array, false: jax.Array) -> Correction:
-        each = [_each(rule, one, part, rows, u, t) for part in parts]
+        each = jax.vmap(lambda part: _of_each_plot(rule, one, part, rows, u, t))(parts)
 
-        def hits(of: Callable[[Correction], jax.Array]) -> list[jax.Array]:
-            return [jnp.log(p) + gained(_by_plot(gains, law), of(done)) for p, done in zip(probabilities, each, strict=True)]
+        def associations(log_density: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+            return associated(list(hit[:, None] + gained(_by_plot(gains, law), log_density)), list(miss), false)
 
-        evidence, shares = associated(hits(lambda done: done.log_evidence), misses, false)
-        highest, _ = associated(hits(lambda done: done.max_log_evidence), misses, false)
-        after = law
-        for own, share in zip(sensor.indices, shares, strict=True):
+        (evidence, shares), (highest, _) = associations(each.log_evidence), associations(each.max_log_evidence)
+
+        def take_in(law: Gaussian, target: tuple[jax.Array, jax.Array]) -> tuple[Gaussian, None]:
             # targets that are correlated have moved with those before
-            part = after.part(own)
-            after = after.with_part(own, _joined(part, _each(rule, one, part, rows, u, t).law, share, ~jnp.isfinite(evidence)))
+            order, share = target
+            law = law.reordered(order)
+            part = law.reordered(np.arange(own.shape[1]))
+            after = _collapsed(part, _of_each_plot(rule, one, part, rows, u, t).law, share, ~jnp.isfinite(evidence))
+            return law.with_first(after).reordered(jnp.argsort(order)), None
+
+        orders = np.array([[*states, *np.setdiff1d(np.arange(law.center.shape[0]), states)] for states in own])
+        after, _ = jax.lax.scan(take_in, law, (jnp.asarray(orders), jnp.stack(shares)))
         return Correction(after, shared.base + evidence, shared.base + highest)
 
-    return _over_few(over, wanted, CHUNK * len(parts), y.value, shared.gains, shared.false)
+    wanted = shared.certain | jnp.any(jax.vmap(needs)(parts, miss), axis=0)
+    return over_few(over, wanted, CHUNK * len(own), y.value, shared.gains, shared.false)
 
 
-def _each(rule: Rule, sensor: Cluttered, law: Gaussian, rows: jax.Array, u: Any, t: Any) -> Correction:
+def _of_each_plot(rule: Rule, sensor: Cluttered, law: Gaussian, rows: jax.Array, u: Any, t: Any) -> Correction:
     """Condition on each plot `(K, z)` as if it were the target's; the axis of plots is the first."""
     return jax.vmap(lambda z: rule.measured(sensor.sensor, law, z, u, t))(rows)
 
@@ -110,14 +123,6 @@ def _wanted(sensor: Cluttered, expected: Gaussian, rows: jax.Array, gains: jax.A
     return sensor.wanted(rows, gains, jnp.min(miss), means, expected.covariance)
 
 
-def _over_few(over: Callable[..., Correction], wanted: jax.Array, room: int, *plots: jax.Array) -> Correction:
-    """Take in the plots of a scan; of more than there is room for only those that are wanted, where they are few."""
-    if wanted.shape[0] <= room:
-        return over(*plots)
-    few = jnp.argsort(~wanted)[:room]
-    return jax.lax.cond(jnp.sum(wanted) <= room, lambda: over(*(each[few] for each in plots)), lambda: over(*plots))
-
-
 def _in_turn(rule: Rule, sensor: Together, law: Gaussian, y: Any, u: Any, t: Any) -> Correction:
     """Condition on what each of several sensors measured, one after the other."""
     evidence, highest = (jnp.zeros(law.center.shape[1:], law.center.dtype),) * 2
@@ -129,7 +134,7 @@ def _in_turn(rule: Rule, sensor: Together, law: Gaussian, y: Any, u: Any, t: Any
     return Correction(law, evidence, highest)
 
 
-def _joined(law: Gaussian, each: Gaussian, shares: jax.Array, lost: jax.Array) -> Gaussian:
+def _collapsed(law: Gaussian, each: Gaussian, shares: jax.Array, lost: jax.Array) -> Gaussian:
     """Keep mean and covariance of a Gaussian and of what each plot makes of it (step 3).
 
     Args:

@@ -9,3 +9,4 @@ from .law import Law as Law
 from .marginal_cloud import MarginalCloud as MarginalCloud
 from .mode_mixture import ModeMixture as ModeMixture
 from .several_targets import SeveralTargets as SeveralTargets
+from .target_clouds import TargetClouds as TargetClouds

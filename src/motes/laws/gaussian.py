@@ -197,25 +197,20 @@ class Gaussian(Law):
         both = (free[:, None] & free)[..., None] if rest.ndim == 3 else free[:, None] & free
         return Gaussian(linalg.add_vectors(self.center, linalg.times_vector(along, noise)), jnp.where(both, rest, 0))
 
-    def part(self, states: Sequence[int]) -> "Gaussian":
-        """Return the law of some of the states, by their indices."""
-        rows = linalg.take(self.covariance, states)
-        return Gaussian(linalg.take(self.center, states), linalg.take(rows, states, axis=1))
+    def reordered(self, order: jax.Array | np.ndarray) -> "Gaussian":
+        """Return the law of the states in another order, indices `(k,)`, or of some of them."""
+        return Gaussian(self.center[order], self.covariance[order][:, order])
 
-    def with_part(self, states: Sequence[int], after: "Gaussian") -> "Gaussian":
-        """Return the law when that of some states becomes another, and that of the rest given them stays."""
-        rest = [i for i in range(self.center.shape[0]) if i not in states]
-        order = np.argsort([*states, *rest])
-        if not rest:
-            return Gaussian(after.center[order], after.covariance[order][:, order])
-        before, others = self.part(states), self.part(rest)
-        across = linalg.take(linalg.take(self.covariance, states), rest, axis=1)
-        slope = linalg.transpose(linalg.solve(linalg.cholesky(before.covariance), across))
-        moved = linalg.add_vectors(others.center, linalg.times_vector(slope, after.center - before.center))
-        cov = linalg.add(others.covariance, linalg.sandwich(slope, linalg.add(after.covariance, -before.covariance)))
-        crossed = linalg.product(slope, after.covariance)
-        rows = [jnp.concatenate([after.covariance, linalg.transpose(crossed)], axis=1), jnp.concatenate([crossed, cov], axis=1)]
-        return Gaussian(jnp.concatenate([after.center, moved])[order], jnp.concatenate(rows)[order][:, order])
+    def with_first(self, after: "Gaussian") -> "Gaussian":
+        """Return the law when that of the first states becomes another, and that of the rest given them stays."""
+        size, states = after.center.shape[0], np.arange(self.center.shape[0])
+        before, rest = self.reordered(states[:size]), self.reordered(states[size:])
+        slope = linalg.transpose(linalg.solve(linalg.cholesky(before.covariance), self.covariance[:size, size:]))
+        moved = linalg.add_vectors(rest.center, linalg.times_vector(slope, linalg.add_vectors(after.center, -before.center)))
+        cov = linalg.add(rest.covariance, linalg.sandwich(slope, linalg.add(after.covariance, -before.covariance)))
+        across = linalg.product(slope, after.covariance)
+        rows = [jnp.concatenate([after.covariance, linalg.transpose(across)], axis=1), jnp.concatenate([across, cov], axis=1)]
+        return Gaussian(jnp.concatenate([after.center, moved]), jnp.concatenate(rows))
 
     def inflated(self, factor: float) -> "Gaussian":
         """Return the law with its covariance times a factor."""

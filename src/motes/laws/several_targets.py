@@ -5,11 +5,9 @@ Each target gives at most one plot, each plot is of at most one target; the like
     p(scan | x_1 .. x_T) = exp(-rate) prod_j kappa(z_j) sum over associations of
         prod over targets i without a plot of (1 - P_D(x_i)) times prod over targets i with plot j of P_D(x_i) p(z_j | x_i) / kappa(z_j)
 
-Plots are taken one after the other; for each set S of targets F(S) sums over the associations in which those of S have a plot by now:
-F(S) <- F(S) + sum over i in S of F(S without i) P_D(x_i) p(z_j | x_i) / kappa(z_j). That is exact, at the cost of T 2^(T - 1) sums a plot.
+The sums are in `association.py`.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -17,23 +15,23 @@ import jax.numpy as jnp
 
 from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
-from motes.laws.cluttered import Cluttered, in_chunks, room_for
+from motes.laws.association import EXACT, NEVER, gained, missed, nobody, whole, with_plot
+from motes.laws.cluttered import Cluttered, room_for
 from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.law import Law
+from motes.laws.near_plots import in_chunks
 from motes.laws.observed import Observed, value_of
 
-MOST = 6
-"""Targets whose associations are summed over; each more doubles the work."""
-NEVER = -1e30
-"""Log of what is impossible, finite so that derivatives of sums of it are zero."""
+MOST = 100
+"""Targets of one sensor."""
 
 
 @record
 class SeveralTargets(Conditional):
     """A sensor whose scans hold plots of several targets, whose states follow each other in that of the model.
 
-    Particle filters weigh by the exact sum over associations, also where targets cross. The marginalized filter carries what plots do not
-    look at, for all targets. Gaussian filters take scans as joint probabilistic data association (JPDA).
+    Particle filters weigh by the exact sum over associations of up to six targets, also where they cross. The marginalized filter carries
+    what plots do not look at, for all targets. `JPDAParticleFilter` has a cloud for each target, Gaussian filters a Gaussian.
 
     Source: Bar-Shalom, Li 1995, Multitarget-Multisensor Tracking; Mahler 2007, Statistical Multisource-Multitarget Information Fusion.
 
@@ -118,11 +116,15 @@ class SeveralTargets(Conditional):
 
     def sample(self, key: jax.Array, X: jax.Array, u: Any, t: Any) -> Observed:
         """Draw one scan for each particle, plots `(K, z, n)`, those that are not there NaN, in an order that tells nothing."""
-        drawn = [self.one.own_plot(random.child(key, 5 + place), linalg.take(X, own), u, t) for place, own in enumerate(self.indices)]
+        keys = random.step_keys(random.child(key, 5), len(self.indices))
+        drawn = [self.one.own_plot(keys[i], linalg.take(X, own), u, t) for i, own in enumerate(self.indices)]
         return self.one.among_false(key, *(jnp.stack(each) for each in zip(*drawn, strict=True)))
 
     def log_prob(self, value: Any, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density of a scan given each particle, `(n,)`; see `Cluttered`."""
+        if len(self.indices) > EXACT:
+            hint = "Use JPDAParticleFilter or a Gaussian filter, whose targets each have a law of their own."
+            checks.refuse("SeveralTargets targets", f"at most {EXACT}, whose associations each particle sums over", len(self.indices), hint)
         rows, one, n = jnp.asarray(value_of(value)), self.one, X.shape[-1]
         shared = self.shared(rows)
         own = [linalg.take(X, states) for states in self.indices]
@@ -136,14 +138,14 @@ class SeveralTargets(Conditional):
         def plot(totals: jax.Array, now: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
             z, gain, false = now
             hits = [jnp.log(p) + gained(gain, each.density(z)) for p, each in zip(probabilities, seen, strict=True)]
-            return _with_plot(totals, hits, false), None
+            return with_plot(totals, hits, false), None
 
         def with_plots(totals: jax.Array, *plots: Any) -> jax.Array:
             return jax.lax.scan(plot, totals, plots)[0]
 
-        start = jnp.full((2 ** len(own), n), NEVER, X.dtype).at[0].set(0)
+        start = nobody(len(own), (n,), X.dtype)
         totals = in_chunks(with_plots, start, wanted, (rows, jnp.nan), (shared.gains, -jnp.inf), (shared.false, 0.0))
-        return shared.base + _whole(totals, misses)
+        return shared.base + whole(totals, misses)
 
     def shared(self, rows: jax.Array) -> "Shared":
         """Work out what all particles share of a scan `(K, z)`."""
@@ -170,63 +172,3 @@ class Shared(NamedTuple):
     gains: jax.Array
     false: jax.Array
     certain: jax.Array
-
-
-def missed(probability: jax.Array) -> jax.Array:
-    """Log probability of no plot, of targets seen with some probability."""
-    return jnp.maximum(jnp.log1p(-probability), NEVER)
-
-
-def gained(gains: jax.Array, log_density: jax.Array) -> jax.Array:
-    """Log of what a plot brings if it is a target's, given its log density; `NEVER` where there is no plot."""
-    return jnp.where(jnp.isfinite(gains), gains + log_density, NEVER)
-
-
-def associated(hits: Sequence[jax.Array], misses: Sequence[jax.Array], false: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
-    """Sum over all associations, and say how probable it is of each target that a plot is its own.
-
-    The sum is linear in what a target makes of a plot, so that its logarithm's derivative by that of the term is the term's share.
-
-    Args:
-        hits: of each target, log of what each plot brings if it is the target's, `(K, *n)`.
-        misses: of each target, log probability of no plot, `(*n)`.
-        false: log of what each plot brings if it is nobody's, `(K,)`.
-
-    Returns:
-        The log of the sum `(*n)`, and for each target the probabilities of no plot and of each `(1 + K, *n)`.
-    """
-
-    def total(hits: list[jax.Array], misses: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
-        def plot(totals: jax.Array, now: tuple[list[jax.Array], jax.Array]) -> tuple[jax.Array, None]:
-            return _with_plot(totals, *now), None
-
-        start = jnp.full((2 ** len(hits), *misses[0].shape), NEVER, misses[0].dtype).at[0].set(0)
-        found = _whole(jax.lax.scan(plot, start, (hits, false))[0], misses)
-        return jnp.sum(jnp.where(jnp.isfinite(found), found, 0)), found
-
-    (_, found), (of_plots, of_none) = jax.value_and_grad(total, (0, 1), has_aux=True)(list(hits), list(misses))
-    return found, [jnp.concatenate([none[None], plots]) for none, plots in zip(of_none, of_plots, strict=True)]
-
-
-def _whole(totals: jax.Array, misses: Sequence[jax.Array]) -> jax.Array:
-    """Sum `(2^T, *n)` over the sets of targets that have a plot; those that have none are missed."""
-    found = jax.nn.logsumexp(jnp.stack([
-        total + sum(miss for i, miss in enumerate(misses) if not taken >> i & 1) for taken, total in enumerate(totals)
-    ]), axis=0)  # fmt: skip
-    return jnp.where(found < 0.5 * NEVER, -jnp.inf, found)
-
-
-def _with_plot(totals: jax.Array, hits: list[jax.Array], false: jax.Array) -> jax.Array:
-    """Take one more plot into the sums `(2^T, *n)` over associations, by the set of targets that have a plot, as the bits of its number.
-
-    Args:
-        totals: before.
-        hits: of each target, what it brings if the plot is its own, `(*n)`.
-        false: what it brings if it is nobody's, `()`.
-    """
-    found = []
-    for taken in range(totals.shape[0]):
-        terms = [totals[taken] + false]
-        terms += [totals[taken & ~(1 << i)] + hit for i, hit in enumerate(hits) if taken >> i & 1]
-        found.append(jax.nn.logsumexp(jnp.stack(terms), axis=0))
-    return jnp.stack(found)

@@ -1,0 +1,128 @@
+"""Which plot is whose, where nobody says it: sums over all associations of plots with targets (Bar-Shalom, Li 1995, section 6.2).
+
+Each target has at most one plot, each plot is of one target at most or nobody's. Plots are taken one after the other; for each set S of
+targets F(S) sums over the associations in which those of S have a plot by now:
+F(S) <- F(S) false(z_j) + sum over i in S of F(S without i) hit(i, z_j). That is exact, at the cost of T 2^(T - 1) sums a plot.
+
+Of more targets than that can be done for, belief propagation says nearly the same (Williams, Lau 2014): messages between targets and plots,
+mu(i, j) = hit(i, j) / (miss(i) + sum over other plots of hit nu) and nu(i, j) = 1 / (false(j) + sum over other targets of mu), which always
+converge, and are exact where plots and targets that can belong together form a tree.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+
+EXACT = 6
+"""Targets whose associations are summed over; each more doubles the work."""
+ROUNDS = 60
+"""Of messages."""
+NEVER = -1e30
+"""Log of what is impossible, finite so that derivatives of sums of it are zero."""
+
+
+def missed(probability: jax.Array) -> jax.Array:
+    """Log probability of no plot, of targets seen with some probability."""
+    return jnp.maximum(jnp.log1p(-probability), NEVER)
+
+
+def gained(gains: jax.Array, log_density: jax.Array) -> jax.Array:
+    """Log of what a plot brings if it is a target's, given its log density; `NEVER` where there is no plot."""
+    return jnp.where(jnp.isfinite(gains), gains + log_density, NEVER)
+
+
+def associated(hits: Sequence[jax.Array], misses: Sequence[jax.Array], false: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+    """Sum over all associations, and say how probable it is of each target that a plot is its own.
+
+    Args:
+        hits: of each target, log of what each plot brings if it is the target's, `(K, *n)`.
+        misses: of each target, log probability of no plot, `(*n)`.
+        false: log of what each plot brings if it is nobody's, `(K,)`.
+
+    Returns:
+        The log of the sum `(*n)`, and for each target the probabilities of no plot and of each `(1 + K, *n)`.
+    """
+    return (_summed if len(hits) <= EXACT else _by_messages)(hits, misses, false)
+
+
+def _summed(hits: Sequence[jax.Array], misses: Sequence[jax.Array], false: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+    """Do what `associated` says, exactly.
+
+    The sum is linear in what a target makes of a plot, so that its logarithm's derivative by that of the term is the term's share.
+    """
+
+    def total(hits: list[jax.Array], misses: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
+        def plot(totals: jax.Array, now: tuple[list[jax.Array], jax.Array]) -> tuple[jax.Array, None]:
+            return with_plot(totals, *now), None
+
+        start = nobody(len(hits), misses[0].shape, misses[0].dtype)
+        found = whole(jax.lax.scan(plot, start, (hits, false))[0], misses)
+        return jnp.sum(jnp.where(jnp.isfinite(found), found, 0)), found
+
+    (_, found), (of_plots, of_none) = jax.value_and_grad(total, (0, 1), has_aux=True)(list(hits), list(misses))
+    return found, [jnp.concatenate([none[None], plots]) for none, plots in zip(of_none, of_plots, strict=True)]
+
+
+def _by_messages(hits: Sequence[jax.Array], misses: Sequence[jax.Array], false: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+    """Do what `associated` says, by belief propagation."""
+    own, none = jnp.stack(hits), jnp.stack(misses)
+    tiny = jnp.finfo(own.dtype).tiny ** 0.5
+    top = jnp.maximum(jnp.max(own, axis=1, initial=NEVER), none)
+    hit, miss = jnp.exp(own - top[:, None]), jnp.maximum(jnp.exp(none - top), tiny)[:, None]
+    nobodys = jnp.maximum(jnp.exp(false), tiny).reshape(-1, *[1] * (own.ndim - 2))
+
+    def to_plots(of_plots: jax.Array) -> jax.Array:
+        return hit / (miss + _others(hit * of_plots, 1))
+
+    def round_of(_: int, of_plots: jax.Array) -> jax.Array:
+        return 1 / (nobodys + _others(to_plots(of_plots), 0))
+
+    of_plots = jax.lax.fori_loop(0, ROUNDS, round_of, jnp.ones_like(hit))
+    of_targets = to_plots(of_plots)
+    weighted = hit * of_plots
+    rows = miss[:, 0] + jnp.sum(weighted, axis=1)
+    # the sum by Bethe's free energy
+    total = jnp.sum(top + jnp.log(rows), axis=0) + jnp.sum(jnp.log(nobodys + jnp.sum(of_targets, axis=0)), axis=0)
+    total = total - jnp.sum(jnp.log1p(of_targets * of_plots), axis=(0, 1))
+    return jnp.where(total < 0.5 * NEVER, -jnp.inf, total), list(jnp.concatenate([miss, weighted], axis=1) / rows[:, None])
+
+
+def _others(values: jax.Array, axis: int) -> jax.Array:
+    """Sum over all others along an axis; not the whole less each, which would be rounding where one is most of it."""
+    zero = jnp.zeros_like(jax.lax.slice_in_dim(values, 0, 1, axis=axis))
+
+    def before(values: jax.Array) -> jax.Array:
+        return jax.lax.slice_in_dim(jnp.cumsum(jnp.concatenate([zero, values], axis), axis=axis), 0, values.shape[axis], axis=axis)
+
+    return before(values) + jnp.flip(before(jnp.flip(values, axis)), axis)
+
+
+def nobody(count: int, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
+    """Return the sums `(2^T, *n)` before the first plot, as logs."""
+    return jnp.full((2**count, *shape), NEVER, dtype).at[0].set(0)
+
+
+def with_plot(totals: jax.Array, hits: list[jax.Array], false: jax.Array) -> jax.Array:
+    """Take one more plot into the sums `(2^T, *n)` over associations, by the set of targets that have a plot, as the bits of its number.
+
+    Args:
+        totals: before.
+        hits: of each target, what it brings if the plot is its own, `(*n)`.
+        false: what it brings if it is nobody's, `()`.
+    """
+    found = totals + false
+    for i, hit in enumerate(hits):
+        # sets without target i, and those with it
+        before = totals.reshape(-1, 2, 2**i, *totals.shape[1:])
+        without, having = jnp.moveaxis(found.reshape(before.shape), 1, 0)
+        found = jnp.stack([without, jnp.logaddexp(having, before[:, 0] + hit)], axis=1).reshape(totals.shape)
+    return found
+
+
+def whole(totals: jax.Array, misses: Sequence[jax.Array]) -> jax.Array:
+    """Sum `(2^T, *n)` over the sets of targets that have a plot; those that have none are missed."""
+    found = jax.nn.logsumexp(jnp.stack([
+        total + sum(miss for i, miss in enumerate(misses) if not taken >> i & 1) for taken, total in enumerate(totals)
+    ]), axis=0)  # fmt: skip
+    return jnp.where(found < 0.5 * NEVER, -jnp.inf, found)
