@@ -31,13 +31,28 @@ def loop(step: Callable[[C, Any], tuple[C, K]], first: C, rows: Any, count: jax.
     def advance(held: tuple[C, Any], after: Any) -> tuple[tuple[C, Any], K]:
         carry, now = held
         carry, kept = step(carry, now)
-        return (carry, after), kept
+        return (carry, after), packed(kept)  # type: ignore[return-value]
 
     there = jax.tree.leaves(rows)[0].shape[0]
     after = jax.tree.map(lambda leaf: jnp.concatenate([leaf[1:], leaf[-1:]]), rows)
     now = jax.tree.map(lambda leaf: leaf[0] if there else jnp.zeros(leaf.shape[1:], leaf.dtype), rows)
-    (last, _), kept = jax.lax.scan(advance, (first, now), after)
-    return last, kept
+    form: Any = None
+
+    def packed(kept: K) -> list[jax.Array]:
+        """Put numbers of one type together: to write one array at each step takes less time than many."""
+        nonlocal form
+        leaves, tree = jax.tree.flatten(kept)
+        leaves = [jnp.asarray(leaf) for leaf in leaves]
+        groups: dict[Any, list[int]] = {}
+        for place, leaf in enumerate(leaves):
+            groups.setdefault(leaf.dtype if leaf.ndim == 0 else place, []).append(place)
+        form = tree, list(groups.values())
+        return [leaves[own[0]] if len(own) == 1 else jnp.stack([leaves[place] for place in own]) for own in groups.values()]
+
+    (last, _), rows = jax.lax.scan(advance, (first, now), after)
+    tree, groups = form
+    places = {place: rows[i] if len(own) == 1 else rows[i][:, k] for i, own in enumerate(groups) for k, place in enumerate(own)}
+    return last, jax.tree.unflatten(tree, [places[place] for place in range(len(places))])
 
 
 def with_first(first: K, rest: K) -> K:
