@@ -157,7 +157,7 @@ def keeps_traces(equation: Any) -> bool:
 
 def worked_out(equation: Any, operands: Sequence[Any]) -> list[Any]:
     """Let JAX work out an equation for given operands."""
-    results = equation.primitive.bind(*operands, **equation.params)
+    results = equation.primitive.bind(*operands, **equation.primitive.get_bind_params(equation.params))
     return list(results) if equation.primitive.multiple_results else [results]
 
 
