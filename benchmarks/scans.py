@@ -43,7 +43,7 @@ class World:
 
 def one_target(name, detection, density, distance=2_200.0):
     """A target that passes a radar at a distance; 957 m and half a radian on each side of it are seen."""
-    start = ((distance, 0.0, 0.0, 10.0), (400.0, 400.0, 25.0, 25.0))
+    start = ((distance, -500.0, 0.0, 10.0), (400.0, 400.0, 25.0, 25.0))
     region = ((distance - 957, -0.5), (distance + 957, 0.5))
     return World(name, (start,), 1.0, (400.0, 1e-4), True, detection, density, region, 100, 150.0)
 

@@ -1,8 +1,8 @@
 """A dim target that appears and vanishes, frames in which it cannot be seen, and a proposal that says where to look for it.
 
-Six states: place (pixels), velocity (pixels per frame), peak (in standard deviations of a pixel's noise), and whether the target exists, 0
-or 1; the others are zero where it does not. A target spreads its light by a Gaussian of one pixel. A frame is measured as it is, by the
-likelihood ratio of its pixels with the target over those without (Salmond, Birch 2001), of which only those near the target differ from one.
+Six states: place (pixels), velocity (pixels per frame), peak (in standard deviations of a pixel's noise), and whether the target exists,
+0 or 1; the others are zero where it does not. Its light is spread by a Gaussian of one pixel. A frame is measured as it is, by the
+likelihood ratio of its pixels with the target over those without (Salmond, Birch 2001): only those near the target differ from one.
 """
 
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ def moved(target: Target, key: jax.Array, X: jax.Array) -> jax.Array:
     """Move targets `(6, n)` that go on existing by one frame."""
     noise = random.normal(key, (5, X.shape[1]), X.dtype)
     place, velocity = target.wander
-    steps = jnp.stack([X[2] + place * noise[0], X[3] + place * noise[1], velocity * noise[2], velocity * noise[3], target.flicker * noise[4]])
+    steps = jnp.concatenate([X[2:4] + place * noise[:2], velocity * noise[2:4], target.flicker * noise[4:]])
     return X.at[:5].add(steps).at[4].max(0.0)
 
 

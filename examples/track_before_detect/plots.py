@@ -1,10 +1,10 @@
 """What track before detect stands beside: plots of each frame first, tracks through the plots after.
 
-A matched filter sums the light that a target would spread; where its output is a local maximum above a threshold stands a plot, brought to a
-part of a pixel by a parabola. The tracker is the strongest that plots allow: the same particle filter with the same model of targets, which
-sums over which plot is the target's, if any, and carries the probability that there is one (integrated probabilistic data association:
-Musicki, Evans, Stankovic 1994). Probability of detection, number of false plots and accuracy are measured for each threshold and each
-brightness, so that this tracker knows how bright its target is; track before detect is not told.
+A matched filter sums the light that a target would spread; where its output is a local maximum above a threshold stands a plot, refined
+to a fraction of a pixel by a parabola. The tracker is the strongest that places of plots allow: the same particle filter with the same
+model of targets, which sums over which plot is the target's, if any, and carries the probability that there is one (integrated
+probabilistic data association: Musicki, Evans, Stankovic 1994). Probability of detection, number of false plots and accuracy are measured
+for each threshold and each brightness, so that this tracker knows how bright its target is; track before detect is not told.
 """
 
 from dataclasses import dataclass

@@ -16,7 +16,7 @@ STEPS, APPEARS, VANISHES = 55, 12, 42
 SPEED = 0.35
 HELD = 3.0
 """Pixels within which an estimate is one of the target."""
-GONE = 0.1
+GONE = 0.05
 """Probability of existence below which a track ends."""
 PATIENCE = 5
 """Frames without the target after which its track is lost."""
