@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 import motes as mo
 from motes.core import random
+from motes.core.record import static
 from motes.filters.proposals import Proposed
 from motes.laws.cloud import draw
 
@@ -124,7 +125,7 @@ class Looking(mo.filters.Proposal):
         anywhere: share of those that are tried anywhere in the frame.
     """
 
-    target: Target = mo.core.record.static(default=Target())
+    target: Target = static(default=Target())
     born: float = 0.3
     anywhere: float = 0.2
 

@@ -28,12 +28,13 @@ class Shown:
 
     def frame(self, axes: Any, step: int, told: bool) -> None:
         """Draw a frame, and what is known of it if `told`."""
-        axes.imshow(self.film[step], cmap="gray", vmin=-2, vmax=4, interpolation="nearest")
+        # few greys, so that colors remain for the rest in an animation
+        axes.imshow(np.round(2 * self.film[step]) / 2, cmap="gray", vmin=-2, vmax=4, interpolation="nearest")
         if told:
             there = self.cloud[step, 5] > 0.5
-            axes.plot(*self.cloud[step, :2, there].T, ".", color="#56b4e9", markersize=2.5, label="particle, if it exists")
+            axes.plot(*self.cloud[step, :2, there].T, ".", color="#56b4e9", markersize=3, label="particles with a target")
             if self.truth[step, 5]:
-                axes.plot(*self.truth[step, :2], "o", markersize=15, markerfacecolor="none", color="#e69f00", label="truth")
+                axes.plot(*self.truth[step, :2], "o", markersize=15, markeredgewidth=1.6, markerfacecolor="none", color="#e69f00", label="truth")
         axes.set(xticks=[], yticks=[], xlim=(-0.5, self.film.shape[2] - 0.5), ylim=(self.film.shape[1] - 0.5, -0.5))
 
     def existence(self, axes: Any, upto: int = STEPS - 1) -> None:

@@ -119,13 +119,19 @@ class Score(NamedTuple):
     after: float
 
 
+def first_held(held: np.ndarray) -> np.ndarray:
+    """Return the frames from the target's appearance to the first in which it is held `(runs,)`; its whole life if it never is."""
+    life = held[:, APPEARS:VANISHES]
+    return np.where(life.any(axis=1), life.argmax(axis=1), life.shape[1])
+
+
 def scored(found: Found, threshold: float, truth: np.ndarray) -> tuple[Score, np.ndarray, np.ndarray]:
     """Count what there is to count; returns too where the target is held `(runs, t)`, and distances `(runs, t)`."""
     track = declared(found.exists, threshold)
     distance = np.linalg.norm(found.place - truth[..., :2], axis=-1)
     held = track & (distance < HELD) & (truth[..., 5] > 0)
     life = held[:, APPEARS:VANISHES]
-    first = np.where(life.any(axis=1), life.argmax(axis=1), life.shape[1])
+    first = first_held(held)
     lost = 0
     for row, start in zip(life, first, strict=True):
         gaps = np.convolve(~row[start:], np.ones(PATIENCE)) if start < len(row) else np.zeros(1)
