@@ -34,7 +34,8 @@ class Shown:
             there = self.cloud[step, 5] > 0.5
             axes.plot(*self.cloud[step, :2, there].T, ".", color="#56b4e9", markersize=3, label="particles with a target")
             if self.truth[step, 5]:
-                axes.plot(*self.truth[step, :2], "o", markersize=15, markeredgewidth=1.6, markerfacecolor="none", color="#e69f00", label="truth")
+                ring = {"markersize": 15, "markeredgewidth": 1.6, "markerfacecolor": "none", "color": "#e69f00"}
+                axes.plot(*self.truth[step, :2], "o", **ring, label="truth")
         axes.set(xticks=[], yticks=[], xlim=(-0.5, self.film.shape[2] - 0.5), ylim=(self.film.shape[1] - 0.5, -0.5))
 
     def existence(self, axes: Any, upto: int = STEPS - 1) -> None:
