@@ -40,7 +40,11 @@ def cases(runs):
         "marginalized, n = 1000": mo.MarginalizedParticleFilter(n=1_000),
         "extended Kalman (PDA)": mo.ExtendedKalmanFilter(),
     }
-    both = {"marginalized, n = 1000": mo.MarginalizedParticleFilter(n=1_000), "particle filter, n = 4000": mo.ParticleFilter(n=4_000)}
+    both = {
+        "marginalized, n = 1000": mo.MarginalizedParticleFilter(n=1_000),
+        "marginalized, n = 4000": mo.MarginalizedParticleFilter(n=4_000),
+        "particle filter, n = 4000": mo.ParticleFilter(n=4_000),
+    }
     return ((one_target(HARD, 0.7, 0.07), runs, one), (one_target(EASY, 0.9, 0.02), 2 * runs, one), (two_targets(), runs, both))
 
 
@@ -154,10 +158,11 @@ def asked(found):
     line(CROSSING, name, "none lost of 50", str(lost), lost == 0)
     line(CROSSING, name, "at most 2 exchanged", f"{exchanged:g}", exchanged <= 2)
     line(CROSSING, name, "<= 9 m", f"{error:.2f} m", error <= 9)
-    if PEER in found[CROSSING]:
-        # of a world in which their error was 8.7 m
-        ratio = error / found[CROSSING][PEER][2]
-        line(CROSSING, name, "<= 9 / 8.7 of Stone Soup's JPDA's error", f"{ratio:.3f}", ratio <= 9 / 8.7)
+    peers = [found[CROSSING][peer][2] for peer in (PEER, WIDE) if peer in found[CROSSING]]
+    if peers:
+        # the 9 m were asked of a world in which JPDA came to 8.7 m
+        ratio = error / min(peers)
+        line(CROSSING, name, "<= 9 / 8.7 of the error of Stone Soup's JPDA, the better gate", f"{ratio:.3f}", ratio <= 9 / 8.7)
     return mo.io.Table(ASKED, tuple(lines))
 
 
