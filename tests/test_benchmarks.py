@@ -143,5 +143,5 @@ def test_trackers_are_set_beside_the_genie_and_what_was_asked(benchmarks, monkey
     values = {tracking.GENIE: (0, 0.0, 20.0, float("nan")), tracking.PEER: (1, 1.0, 26.0, 0.02)}
     values |= {name: (0, 1.0, 26.5, 0.001) for name in ("particle filter, n = 1000", "marginalized, n = 1000")}
     rows = {row[2]: row[3:] for row in tracking.asked(dict.fromkeys((tracking.HARD, tracking.EASY, tracking.CROSSING), values)).rows}
-    assert rows["<= 27 m"] == ("26.5 m", "yes") and rows["<= 1.1 of the genie"] == ("1.325", "no")
+    assert rows["at most 27 m"] == ("26.5 m", "yes") and rows["at most 1.1 of the genie"] == ("1.325", "no")
     assert rows["at least 10 times as fast as Stone Soup's PDA"] == ("20.0", "yes")

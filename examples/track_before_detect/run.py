@@ -3,7 +3,8 @@
     python examples/track_before_detect/run.py [--runs 100] [--n 8000]
 
 Frames are made up: 24 x 24 pixels, a point spread of one pixel, peaks 3, 6 and 9 dB over the noise of a pixel; the target is there from
-frame 12 to 41 of 55. Both trackers may begin one track in 1000 frames of noise. It takes about twelve minutes; pictures go to out/.
+frame 12 to 41 of 55. Both trackers may begin one track in 1000 frames of noise. It takes ten to fifteen minutes; pictures
+go to out/.
 """
 
 import argparse
