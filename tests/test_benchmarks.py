@@ -106,3 +106,42 @@ def test_what_a_device_computes_otherwise_is_told(benchmarks, tmp_path):
     wrong = [name for name, found in lines.items() if "too much" in found]
     assert wrong == ["normal numbers, units in the last place", *gpu.STEPS]
     assert gpu.agreement({"values": [1.0, 1.1]}, {"values": [9.0, 9.1]}).endswith("**differs**")
+
+
+def test_tracks_are_counted_as_said(benchmarks):
+    import numpy as np
+    from scans import counted, made, two_targets
+
+    world = two_targets()
+    states, own, scans = made(world, 3)
+    there = ~np.isnan(own[..., 0])
+    assert abs(there.mean() - world.detection) < 0.1
+    assert abs(np.mean([len(scan) for scan in scans]) - world.rate - 2 * world.detection) < 2
+    for scan, plots in zip(scans, own, strict=True):
+        assert all((scan == plot).all(axis=1).any() for plot in plots[~np.isnan(plots[:, 0])])
+    assert counted(world, states[..., :2], states) == (False, 0, 0)
+    exchanged = np.concatenate([states[:40, :, :2], states[40:, ::-1, :2]])
+    assert counted(world, exchanged, states)[:2] == (False, 1)
+    gone = states[..., :2].copy()
+    gone[-20:, 1] += 2_000
+    assert counted(world, gone, states)[0]
+
+
+def test_trackers_are_set_beside_the_genie_and_what_was_asked(benchmarks, monkeypatch):
+    import dataclasses
+
+    import scans
+    import tracking
+
+    import motes as mo
+
+    monkeypatch.setattr(tracking, "find_spec", lambda name: None)
+    world = dataclasses.replace(scans.one_target("easy", 0.9, 0.02), scans=6)
+    found = tracking.measured(world, 2, {"extended Kalman (PDA)": mo.ExtendedKalmanFilter()})
+    genie, ours = tracking.rows("easy", 2, found)
+    assert genie[6] == 1 and 0.8 < ours[6] < 1.5 and ours[7] > 0 and ours[8] is None
+    values = {tracking.GENIE: (0, 0.0, 20.0, float("nan")), tracking.PEER: (1, 1.0, 26.0, 0.02)}
+    values |= {name: (0, 1.0, 26.5, 0.001) for name in ("particle filter, n = 1000", "marginalized, n = 1000")}
+    rows = {row[2]: row[3:] for row in tracking.asked(dict.fromkeys((tracking.HARD, tracking.EASY, tracking.CROSSING), values)).rows}
+    assert rows["at most 27 m"] == ("26.5 m", "yes") and rows["at most 1.1 of the genie"] == ("1.325", "no")
+    assert rows["at least 10 times as fast as Stone Soup's PDA"] == ("20.0", "yes")

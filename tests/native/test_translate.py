@@ -277,6 +277,7 @@ def test_programs_in_which_particles_meet_are_refused(name):
     lambda X: [X + jax.vmap(lambda key, x: jax.random.normal(key, (3,)), (0, -1), -1)(jax.random.split(KEY, (1, X.shape[1]))[0], X)],
     over(lambda x: jax.lax.scan(lambda z, row: (z + 1, z), x, jnp.zeros((0, 3)))[0] + x),
     over(lambda x: jax.lax.fori_loop(0, 1_000_000, lambda i, z: z[::-1], x)),
+    over(lambda x: x.at[:2].add(x[:2])),
 ])  # fmt: skip
 def test_unknown_operations_are_refused(program):
     with pytest.raises(Untranslatable):

@@ -188,7 +188,10 @@ class Translator:
         return self._names[kind, text]
 
     def _elementwise(self, name: str, operands: list[np.ndarray], params: dict[str, Any]) -> np.ndarray:
-        wide = np.broadcast_arrays(*operands)
+        try:
+            wide = np.broadcast_arrays(*operands)
+        except ValueError:  # it is none of elements with their like
+            raise Untranslatable(f"the operation {name}") from None
         if not wide[0].size:
             return wide[0]
         if name == "select_n" and wide[1].flat[0].kind == keys.KIND:
@@ -196,8 +199,7 @@ class Translator:
         found = formula(name, [operand.flat[0].kind for operand in operands], params)
         if found is None:
             raise Untranslatable(f"the operation {name}")
-        together = zip(*(operand.flat for operand in wide), strict=True)
-        return _array([self._operation(name, each, *found) for each in together], wide[0].shape)
+        return _array([self._operation(name, each, *found) for each in zip(*(array.flat for array in wide), strict=True)], wide[0].shape)
 
     def _operation(self, name: str, operands: Sequence[Scalar], text: str, kind: str) -> Scalar:
         found = simpler(name, operands)
