@@ -118,6 +118,7 @@ def test_threshold_lets_a_share_of_runs_pass():
     (lambda: mo.detect.cusum(1.0), ("cusum ratios", "(steps,) or (runs, steps)")),
     (lambda: mo.detect.cusum([0.0, np.inf]), ("cusum ratios", "finite", "[1]")),
     (lambda: mo.detect.shiryaev([0.0], 1.0), ("shiryaev rate", "between 0 and 1")),
+    (lambda: mo.detect.shiryaev([0.0], "often"), ("shiryaev rate", "often")),
     (lambda: mo.detect.shiryaev_step(0.0, 0.0, 0.0), ("shiryaev_step rate", "between 0 and 1")),
     (lambda: mo.detect.threshold(np.zeros((10, 5)), 0.05), ("threshold statistics", "at least 20 runs", "(10, 5)")),
     (lambda: mo.detect.threshold(np.zeros(10), 0.05), ("threshold statistics", "(runs, steps)")),

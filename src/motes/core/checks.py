@@ -224,7 +224,7 @@ def above_zero(argument: str, value: Any, top: float = float("inf")) -> None:
 
 def probability(argument: str, value: Any) -> None:
     """Refuse what does not lie between 0 and 1, neither of them included, as far as it is known."""
-    if is_concrete(value) and not (np.ndim(value) == 0 and 0 < np.asarray(value) < 1):
+    if is_concrete(value) and not (np.ndim(value) == 0 and np.asarray(value).dtype.kind in "biuf" and 0 < value < 1):
         refuse(argument, "a probability between 0 and 1", value)
 
 
