@@ -222,6 +222,12 @@ def above_zero(argument: str, value: Any, top: float = float("inf")) -> None:
         refuse(argument, "a number above 0" + ("" if top == float("inf") else f" and at most {top:g}"), value)
 
 
+def probability(argument: str, value: Any) -> None:
+    """Refuse what does not lie between 0 and 1, neither of them included, as far as it is known."""
+    if is_concrete(value) and not (np.ndim(value) == 0 and np.asarray(value).dtype.kind in "biuf" and 0 < value < 1):
+        refuse(argument, "a probability between 0 and 1", value)
+
+
 def option(argument: str, value: Any, allowed: tuple[str, ...]) -> None:
     """Refuse a word that is not one of the allowed ones."""
     if value not in allowed:

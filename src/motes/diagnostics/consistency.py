@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import ArrayLike
 from scipy.special import gammaincinv, ndtri
 
@@ -43,7 +42,7 @@ def chi_square_band(dimension: int, runs: int = 1, level: float = 0.99) -> Band:
     """
     checks.positive_integer("chi_square_band dimension", dimension)
     checks.positive_integer("chi_square_band runs", runs)
-    _check_level("chi_square_band level", level)
+    checks.probability("chi_square_band level", level)
     # the quantile of a chi-square law, without the slow import of all laws
     low, high = (2 * gammaincinv(dimension * runs / 2, 0.5 + side * level / 2) / runs for side in (-1, 1))
     return Band(float(low), float(high))
@@ -87,7 +86,7 @@ def coverage(history: History, truth: ArrayLike, level: float = 0.95) -> jax.Arr
         MotesError: truth has another shape, or the level does not lie between 0 and 1.
     """
     checks.shape("coverage truth", truth, history.mean.shape, "(steps, states)")
-    _check_level("coverage level", level)
+    checks.probability("coverage level", level)
     widest = float(ndtri(0.5 + level / 2)) * jnp.sqrt(jnp.diagonal(history.cov, axis1=1, axis2=2))
     off = jnp.abs(_errors("coverage truth", history, truth))
     return jnp.nanmean(jnp.where(jnp.isnan(off), jnp.nan, off <= widest), axis=0)
@@ -96,8 +95,3 @@ def coverage(history: History, truth: ArrayLike, level: float = 0.95) -> jax.Arr
 def _errors(argument: str, history: History, truth: ArrayLike, angles: tuple[int, ...] = ()) -> jax.Array:
     """Truth less means `(t, x)`, the short way round in angles."""
     return wrap((checks.as_float(argument, truth) - history.mean).T, (*history.circular, *angles)).T
-
-
-def _check_level(argument: str, level: float) -> None:
-    if not 0 < np.asarray(level) < 1:
-        checks.refuse(argument, "a probability between 0 and 1", level)

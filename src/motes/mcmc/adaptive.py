@@ -75,8 +75,8 @@ class Adaptive(Wrapper):
         if not (isinstance(self.kernel, Kernel) and isinstance(self.kernel, Tunable)):
             checks.refuse("Adaptive kernel", "RandomWalkMetropolis, MALA, HMC or NUTS", type(self.kernel).__name__)
         checks.positive_integer("Adaptive steps", self.steps)
-        if self.target is not None and not 0 < self.target < 1:
-            checks.refuse("Adaptive target", "a probability between 0 and 1", self.target)
+        if self.target is not None:
+            checks.probability("Adaptive target", self.target)
 
     def around(self, kernel_state: Any, position: Position) -> Learned:
         """Start with a scale for the standard normal density."""
