@@ -21,7 +21,6 @@ from motes.gaussian.association import conditioned
 from motes.gaussian.rule import Rule, check_rule
 from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel, as_state_space
-from motes.tracing.at_once import at_once
 
 
 class OneGaussian(Gated):
@@ -29,6 +28,7 @@ class OneGaussian(Gated):
 
     rule: Rule
     weighs = False
+    light = True
     subtracts = True
 
     def check_parameters(self) -> None:
@@ -59,11 +59,11 @@ class OneGaussian(Gated):
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, u: Any, t: Any) -> Gaussian:
         """Move mean and covariance to time t (step 1)."""
-        return at_once(type(self.rule).through, self.rule, model.dynamics, state, u, t)
+        return self.rule.through(model.dynamics, state, u, t)
 
     def correct(self, key: jax.Array, model: StateSpaceModel, state: Gaussian, y: jax.Array, u: Any, t: Any) -> tuple[Gaussian, Info]:
         """Condition on y (step 2)."""
-        done = at_once(conditioned, self.rule, model.sensor, state, y, u, t)
+        done = conditioned(self.rule, model.sensor, state, y, u, t)
         return done.law, single(done)
 
 

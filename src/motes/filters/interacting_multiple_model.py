@@ -49,6 +49,7 @@ class InteractingMultipleModel(Gated, TwoStageFilter):
     """
 
     subtracts = True
+    light = True
     guide = Guide(
         needs="m modes with mean functions and noise covariances",
         cost="m x^3",

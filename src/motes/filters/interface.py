@@ -17,6 +17,8 @@ from motes.models.state_space import as_state_space
 from motes.resampling import gradients
 from motes.tracing.compiling import traced_once
 
+FEW = 32
+"""States up to which products of matrices are not worth sharing out."""
 INFLATION = 4.0
 """Factor on the covariance when a filter answers a collapse by inflating."""
 
@@ -57,6 +59,8 @@ class Filter(ABC):
     """Whether the effective sample size counts n draws, few of which are not enough."""
     adds_inputs: ClassVar[bool] = False
     """Whether functions of the model get more inputs than the user gives, which are then a dictionary or None."""
+    light: ClassVar[bool] = False
+    """Whether the law is of few numbers where the model has few states: threads then cost more than they bring."""
     descends: ClassVar[bool] = True
     """Whether each particle came from the one that it names as its ancestor; not so where nodes stay or members are moved by all others."""
     gate: ClassVar[Any] = None
@@ -97,6 +101,10 @@ class Filter(ABC):
         descends = self.descends and getattr(getattr(self, "scheme", None), "picks", True)
         own = {"has_evidence": self.has_evidence, "weighs": self.weighs, "subtracts": self.subtracts}
         return own | {"particles": particles, "descends": descends}
+
+    def is_light(self, model: Any) -> bool:
+        """Tell whether a step with a model is of few numbers."""
+        return self.light and model.size <= FEW
 
     def check_parameters(self) -> None:  # noqa: B027 (most filters have nothing of their own to check)
         """Refuse values of the filter's own parameters."""

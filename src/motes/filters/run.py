@@ -166,7 +166,11 @@ class _Found:
     engine: str = static()
 
 
-@partial(jitted, static_argnames=("kept",))
+def _is_light(key: jax.Array, filter: Filter, model: Model, *rest: Any) -> bool:
+    return filter.is_light(model)
+
+
+@partial(jitted, few=_is_light, static_argnames=("kept",))
 def _run(
     key: jax.Array, filter: Filter, model: Model, ys: Any, inputs: Inputs, kept: tuple[Keep, Beside], first: Carry | None
 ) -> _Found:

@@ -17,12 +17,9 @@ from motes.filters.info import Info, single
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.needs import as_linear_model
 from motes.gaussian.taylor import affine
-from motes.laws.conditional import Conditional
 from motes.laws.density import measured_in
 from motes.laws.factored import FactoredGaussian
-from motes.laws.gaussian import Correction
 from motes.models.state_space import StateSpaceModel
-from motes.tracing.at_once import at_once
 
 
 @record
@@ -39,6 +36,7 @@ class SquareRootKalmanFilter(Gated, TwoStageFilter):
     """
 
     weighs = False
+    light = True
     guide = Guide(
         needs="a linear model with Gaussian noises and initial law",
         cost="x^3, a few times what KalmanFilter takes",
@@ -59,21 +57,13 @@ class SquareRootKalmanFilter(Gated, TwoStageFilter):
 
     def predict(self, key: jax.Array, model: StateSpaceModel, state: FactoredGaussian, u: Any, t: Any) -> FactoredGaussian:
         """Move mean and factor to time t (step 1)."""
-        return at_once(_moved, model.dynamics, state, u, t)
+        return state.moved(*affine(model.dynamics, state.center, u, t))
 
     def correct(
         self, key: jax.Array, model: StateSpaceModel, state: FactoredGaussian, y: jax.Array, u: Any, t: Any
     ) -> tuple[FactoredGaussian, Info]:
         """Condition on y (step 2)."""
-        done = at_once(_corrected, model.sensor, state, y, u, t)
-        return done.law, single(done)
-
-
-def _moved(dynamics: Conditional, state: FactoredGaussian, u: Any, t: Any) -> FactoredGaussian:
-    return state.moved(*affine(dynamics, state.center, u, t))
-
-
-def _corrected(sensor: Conditional, state: FactoredGaussian, y: jax.Array, u: Any, t: Any) -> Correction:
-    prediction, H, R = affine(sensor, state.center, u, t)
-    seen = measured_in(y, R)
-    return state.corrected(sensor.residual(y, prediction), H, R, seen)._replace(count=jnp.sum(seen))
+        prediction, H, R = affine(model.sensor, state.center, u, t)
+        seen = measured_in(y, R)
+        done = state.corrected(model.sensor.residual(y, prediction), H, R, seen)
+        return done.law, single(done._replace(count=jnp.sum(seen)))

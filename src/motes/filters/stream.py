@@ -34,19 +34,23 @@ def _ready(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Setup:
     return setup(key, filter, model, u, y)
 
 
-@partial(jitted, static_argnums=0)
+def _is_light(form: Any, *rest: Any) -> bool:
+    return form[2]
+
+
+@partial(jitted, few=_is_light, static_argnums=0)
 def _start(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Carry:
     with report.collected():
         return _ready(form, parts, u, y).start(u, y)
 
 
-@partial(jitted, static_argnums=0)
+@partial(jitted, few=_is_light, static_argnums=0)
 def _move(form: Any, parts: list[Any], carry: Carry, u: Inputs) -> Carry:
     with report.collected():
         return _ready(form, parts, u, carry.y).predict(carry, u)
 
 
-@partial(jitted, static_argnums=0)
+@partial(jitted, few=_is_light, static_argnums=0)
 def _take_in(form: Any, parts: list[Any], carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
     with report.collected() as notes:
         ready = _ready(form, parts, carry.u, y)
@@ -55,7 +59,7 @@ def _take_in(form: Any, parts: list[Any], carry: Carry, y: jax.Array) -> tuple[C
     return taken
 
 
-@partial(jitted, static_argnums=0)
+@partial(jitted, few=_is_light, static_argnums=0)
 def _advance(form: Any, parts: list[Any], carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
     with report.collected():
         return _ready(form, parts, u, y).step(carry, y, u)
@@ -194,7 +198,7 @@ class Stream:
             known = (self.filter, self.model)
         else:
             return
-        self._form = (jax.tree.structure((self.key, *known)), Beside(known))
+        self._form = (jax.tree.structure((self.key, *known)), Beside(known), self.filter.is_light(self.model))
 
     def _checked(self, y: Any) -> Any:
         if y is None:

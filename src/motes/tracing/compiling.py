@@ -3,7 +3,8 @@
 Options make it rare that decompositions in a user's functions stop it.
 
 Why they can is told in `lapack.py`, through which ours go. Operations are run at the same time where many of a loop's body are ready at
-once, which the scheduler that orders them for concurrency sees to; the other one, which orders them for little memory, leaves few.
+once, which the scheduler that orders them for concurrency sees to; the other one, which orders them for little memory, leaves few. Programs
+of few numbers are kept to one thread, since to hand an operation over takes longer than to do it.
 """
 
 import functools
@@ -19,29 +20,32 @@ from motes.core.lapack import MENDED
 from motes.tracing.internals import at_top
 
 OPTIONS: dict[str, Any] = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
+ONE_THREAD: dict[str, Any] = {"xla_cpu_multi_thread_eigen": False}
 
 
-def jitted(function: Callable[..., Any], **static: Any) -> Any:
+def jitted(function: Callable[..., Any], few: Callable[..., bool] = lambda *arguments: False, **static: Any) -> Any:
     """Do as `jax.jit` does, compiled with care where nobody else compiles it.
 
     Options are for whole programs: inside another's `jit`, `vmap` or `grad` they are refused, and those of the outer program hold.
 
     Args:
         function: what to jit.
+        few: tells of arguments whether they make a program of few numbers.
         static: static arguments, as `jax.jit` takes them.
     """
-    return _Jitted(function, static)
+    return _Jitted(function, few, static)
 
 
 class _Jitted:
-    def __init__(self, function: Callable[..., Any], static: dict[str, Any]):
-        self._within, self._alone = jax.jit(function, **static), jax.jit(function, **static, compiler_options=OPTIONS)
+    def __init__(self, function: Callable[..., Any], few: Callable[..., bool], static: dict[str, Any]):
+        self._few, self._within = few, jax.jit(function, **static)
+        self._alone, self._of_few = (jax.jit(function, **static, compiler_options=options) for options in (OPTIONS, OPTIONS | ONE_THREAD))
         functools.update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         if not at_top():
             return self._within(*arguments, **named)
-        jitted = self._alone if _are_needed() else self._within
+        jitted = (self._of_few if self._few(*arguments, **named) else self._alone) if _are_needed() else self._within
         try:
             return jitted(*arguments, **named)
         except engine.CompileError as reason:
