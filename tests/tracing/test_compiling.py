@@ -8,7 +8,7 @@ import pytest
 import motes as mo
 from motes.core.lapack import MENDED
 from motes.tracing import compiling
-from motes.tracing.compiling import OPTIONS, jitted
+from motes.tracing.compiling import ONE_THREAD, OPTIONS, jitted
 
 law = mo.Gaussian(jnp.zeros(1), jnp.eye(1))
 MODEL = mo.StateSpaceModel(law, mo.LinearGaussian(jnp.eye(1), jnp.eye(1)), mo.LinearGaussian(jnp.eye(1), jnp.eye(1)), ("x",))
@@ -35,7 +35,12 @@ def test_programs_of_their_own_are_compiled_with_care(asked):
     jax.clear_caches()
     asked.clear()
     mo.run(0, mo.ParticleFilter(n=7), MODEL, YS)
-    assert OPTIONS in asked
+    assert OPTIONS in asked and OPTIONS | ONE_THREAD not in asked
+    stream = mo.stream(0, mo.KalmanFilter(), MODEL)
+    for run in (lambda: mo.run(0, mo.KalmanFilter(), MODEL, YS), lambda: stream.update(YS[0])):
+        asked.clear()
+        run()
+        assert OPTIONS | ONE_THREAD in asked and OPTIONS not in asked
 
 
 def test_within_other_programs():
