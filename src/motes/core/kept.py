@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 SWITCH = "MOTES_CACHE"
-"""Environment variable that, set to "off", has nothing kept."""
+"""Environment variable that, set to "off" (or 0, no, false), has nothing kept."""
 
 MOST = 500_000_000
 """Bytes of each kind that are kept on disk."""
@@ -55,7 +55,7 @@ def why_not(name: str) -> str:
 
 
 def _is_off() -> bool:
-    return os.environ.get(SWITCH) == "off"
+    return os.environ.get(SWITCH, "").strip().lower() in ("off", "0", "no", "false")
 
 
 def prune(folder: Path, spared: Path | None = None) -> None:
