@@ -17,11 +17,14 @@ def loaded(name):
     """Names of an example's program, and of its file of models where it has one."""
     folder = str(EXAMPLES / name)
     sys.path.insert(0, folder)
+    other = sys.modules.pop("model", None)
     try:
         return runpy.run_path(f"{folder}/run.py")
     finally:
         sys.path.remove(folder)
         sys.modules.pop("model", None)
+        if other is not None:
+            sys.modules["model"] = other
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from test_smoothers import linear
 
 from tiers import each
 
-NOTHING = {"CostReferenceParticleFilter", "PaRIS", "Recovering", "Adapting", "AdaptiveSize"}
+NOTHING = {"CostReferenceParticleFilter", "PaRIS", "Recovering", "Adapting", "AdaptiveSize", "JPDAParticleFilter"}
 """Filters whose laws cannot be smoothed."""
 YS = np.array([[0.3], [1.2], [np.nan], [0.9]])
 SMOOTHERS = smoother_classes()

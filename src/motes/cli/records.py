@@ -25,6 +25,10 @@ MOST = 50_000_000
 """More particles than any machine that this runs on holds; a slip of the keyboard should not exhaust its memory."""
 
 
+SHORTEST = 3
+"""Letters of a name's end that stand for it."""
+
+
 def spelled(name: str) -> str:
     """Return a name as it is compared: no case, hyphens or spaces, and without what all of a kind end in."""
     plain = re.sub(r"[\s_-]", "", name).lower()
@@ -36,7 +40,7 @@ def spelled(name: str) -> str:
 
 def file_name(choice: Any) -> str:
     """Return what a run of a chosen filter is called, such as "ensemble_kalman"."""
-    words = re.findall(r"[A-Z]?[a-z0-9]+|[A-Z]+", choice if isinstance(choice, str) else choice[KIND])
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z0-9]+", choice if isinstance(choice, str) else choice[KIND])
     plain = [word.lower() for word in words]
     return "_".join(plain[:-1] if plain[-1:] == ["filter"] and len(plain) > 1 else plain) or "filter"
 
@@ -66,7 +70,7 @@ def build(base: type, choice: Any, place: str, n: int | None = None) -> Any:
         refuse(place, f"a name, or a table with {KIND} = a name", shown(choice))
     known = kinds(base)
     short = {spelled(name): one for name, one in known.items()}
-    ending = [one for name, one in short.items() if name.endswith(spelled(table[KIND]))]
+    ending = [one for name, one in short.items() if name.endswith(spelled(table[KIND])) and len(spelled(table[KIND])) >= SHORTEST]
     kind = known.get(table[KIND]) or short.get(spelled(table[KIND])) or (ending[0] if len(ending) == 1 else None)
     if kind is None:
         near = difflib.get_close_matches(spelled(table[KIND]), short, 5, 0.4) or sorted(short)[:12]

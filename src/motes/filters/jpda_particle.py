@@ -30,6 +30,7 @@ from motes.laws.gaussian import Gaussian
 from motes.laws.near_plots import CHUNK, over_few
 from motes.laws.several_targets import SeveralTargets
 from motes.laws.target_clouds import TargetClouds
+from motes.models.canonical import canonical
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import ESS, Policy, resample
 from motes.resampling.schemes import Scheme, Systematic
@@ -99,7 +100,8 @@ class JPDAParticleFilter(TwoStageFilter):
             MotesError: a component has no noise, or a target's states follow another's.
         """
         ask_noise(type(self).__name__, model)
-        model = as_particle_model("JPDAParticleFilter", model, transition_density=False)
+        # what goes wrong in a user's function is told in one line by what it is wrapped in
+        model = canonical(as_particle_model("JPDAParticleFilter", model, transition_density=False), u)
         known = [("initial law", model.initial.covariance)] if isinstance(model.initial, Gaussian) else []
         dynamics = model.dynamics
         if isinstance(dynamics, AdditiveGaussian):
