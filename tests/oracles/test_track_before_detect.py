@@ -23,6 +23,8 @@ THERE = range(3, 9)
 def example():
     """Put the folder of the example on the import path while its modules are tested."""
     names = ("model", "plots", "trials")
+    for name in names:
+        sys.modules.pop(name, None)  # another test may have left one of that name
     sys.path.insert(0, str(FOLDER))
     yield {name: __import__(name) for name in names}
     sys.path.remove(str(FOLDER))
