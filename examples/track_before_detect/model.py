@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import motes as mo
 from motes.core import random
 from motes.core.record import static
-from motes.filters.proposals import Proposed
 from motes.laws.cloud import draw
 
 STATES = ("px", "py", "vx", "vy", "peak", "exists")
@@ -129,7 +128,7 @@ class Looking(mo.filters.Proposal):
     born: float = 0.3
     anywhere: float = 0.2
 
-    def proposed(self, key: jax.Array, model: mo.StateSpaceModel, X: jax.Array, y: Any, u: Any, t: Any) -> Proposed:
+    def proposed(self, key: jax.Array, model: mo.StateSpaceModel, X: jax.Array, y: Any, u: Any, t: Any) -> mo.filters.Proposed:
         """Move particles; see `mo.filters.Proposal`."""
         target, size, n = self.target, self.target.size, X.shape[1]
         after, appears, waits = next_states(target, random.child(key, 0), X, self.born)
@@ -144,7 +143,7 @@ class Looking(mo.filters.Proposal):
         tried = jnp.log(target.appears / self.born) - jnp.log(size**2 * shares[cell])
         waited = jnp.log((1 - target.appears) / (1 - self.born))
         log_weight = model.sensor.log_prob(y, after, u, t) + jnp.where(appears, tried, 0.0) + jnp.where(waits, waited, 0.0)
-        return Proposed(after, log_weight, jnp.full((), jnp.inf))
+        return mo.filters.Proposed(after, log_weight, jnp.full((), jnp.inf))
 
 
 def tracking(target: Target, sensor: Any) -> mo.StateSpaceModel:

@@ -1,30 +1,19 @@
 """Examples that run without data: small runs, against what was simulated."""
 
 import runpy
-import sys
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import motes as mo
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
+from examples_of import importable
 
 
 def loaded(name):
-    """Names of an example's program, and of its file of models where it has one."""
-    folder = str(EXAMPLES / name)
-    sys.path.insert(0, folder)
-    other = sys.modules.pop("model", None)
-    try:
-        return runpy.run_path(f"{folder}/run.py")
-    finally:
-        sys.path.remove(folder)
-        sys.modules.pop("model", None)
-        if other is not None:
-            sys.modules["model"] = other
+    """Names of an example's program."""
+    with importable(name) as folder:
+        return runpy.run_path(str(folder / "run.py"))
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,7 @@
 """The models of the examples, against exact answers and without data."""
 
 import runpy
-import sys
 from itertools import combinations
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,17 +10,13 @@ from scipy.special import gammaln
 
 import motes as mo
 from data import recorded as recording
-
-EXAMPLES = Path(__file__).parents[2] / "examples"
+from examples_of import EXAMPLES, importable
 
 
 @pytest.fixture(scope="module")
 def coal():
-    sys.path.insert(0, str(EXAMPLES / "coal"))
-    try:
-        return {**runpy.run_path(str(EXAMPLES / "coal" / "exact.py")), **runpy.run_path(str(EXAMPLES / "coal" / "model.py"))}
-    finally:
-        sys.path.remove(str(EXAMPLES / "coal"))
+    with importable("coal") as folder:
+        return {**runpy.run_path(str(folder / "exact.py")), **runpy.run_path(str(folder / "model.py"))}
 
 
 def test_dynamic_program_equals_enumeration(coal):

@@ -189,10 +189,10 @@ def test_messages_between_targets_and_plots(double):
         if place == 0:
             false[2] = association.NEVER  # must be a target's
         misses = np.log(rng.uniform(0.05, 0.6, len(hits)))
-        given = (list(map(jnp.asarray, hits)), list(map(jnp.asarray, misses)), jnp.asarray(false))
+        given = tuple(map(jnp.asarray, (hits, misses, false)))
         (wanted, exact), (total, found) = jax.jit(association._summed)(*given), jax.jit(association._by_messages)(*given)
         near = 1e-9 if place < 3 else 0.1
-        np.testing.assert_allclose(found, np.stack(exact), rtol=0, atol=near)
+        np.testing.assert_allclose(found, exact, rtol=0, atol=near)
         np.testing.assert_allclose(total, wanted, rtol=0, atol=2 * near)
         np.testing.assert_allclose(np.sum(found, axis=1), 1.0, rtol=1e-9)
 

@@ -1,8 +1,5 @@
 """Track before detect (the example) against the exact forward filter on a fine grid: a target of known motion and peak in small frames."""
 
-import sys
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,9 +7,9 @@ import pytest
 from scipy.stats import norm, t
 
 import motes as mo
+from examples_of import importable
 from motes.laws.observed import Observed
 
-FOLDER = Path(__file__).parents[2] / "examples" / "track_before_detect"
 LEVEL = 1e-6
 STEPS, PEAK, FINE = 12, 2.0, 4
 """Frames, peak over the noise, and grid cells on each side of a pixel."""
@@ -22,14 +19,8 @@ THERE = range(3, 9)
 @pytest.fixture(scope="module")
 def example():
     """Put the folder of the example on the import path while its modules are tested."""
-    names = ("model", "plots", "trials")
-    for name in names:
-        sys.modules.pop(name, None)  # another test may have left one of that name
-    sys.path.insert(0, str(FOLDER))
-    yield {name: __import__(name) for name in names}
-    sys.path.remove(str(FOLDER))
-    for name in names:
-        del sys.modules[name]
+    with importable("track_before_detect"):
+        yield {name: __import__(name) for name in ("model", "plots", "trials")}
 
 
 @pytest.fixture(scope="module")

@@ -7,5 +7,6 @@ from .look_ahead import LookAheadFilter as LookAheadFilter
 from .marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
 from .parallel import run_in_parallel as run_in_parallel
 from .proposals import Proposal as Proposal
+from .proposals import Proposed as Proposed
 from .run import run_in_chunks as run_in_chunks
 from .wrapper import Wrapper as Wrapper

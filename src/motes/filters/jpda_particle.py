@@ -140,9 +140,8 @@ class JPDAParticleFilter(TwoStageFilter):
         def likelihoods(rows: jax.Array, gains: jax.Array, false: jax.Array) -> tuple[jax.Array, jax.Array]:
             terms = jax.vmap(lambda cloud: _terms(one, cloud, rows, gains, u, t))(state.clouds)
             averages = jax.nn.logsumexp(state.clouds.log_weights[:, None] + terms, axis=2)
-            evidence, shares = associated(list(averages[:, 1:]), list(averages[:, 0]), false)
-            share = jnp.stack(shares)
-            factors = jnp.where(share > 0, jnp.log(share) - averages, -jnp.inf)
+            evidence, shares = associated(averages[:, 1:], averages[:, 0], false)
+            factors = jnp.where(shares > 0, jnp.log(shares) - averages, -jnp.inf)
             return evidence, jax.nn.logsumexp(factors[:, :, None] + terms, axis=1)
 
         wanted = shared.certain | jnp.any(jax.vmap(needs)(state.clouds), axis=0)
@@ -170,8 +169,7 @@ def _targets(model: StateSpaceModel) -> tuple[tuple[int, ...], ...]:
 
 def _worst(info: Info, log_evidence: jax.Array) -> Info:
     """Return the record of a step from those of all targets `(m,)`: of each number that of the one which fares worst."""
-    largest = {name: jnp.max(getattr(info, name)) for name in ("invalid", "highest")}
-    least = {name: jnp.min(getattr(info, name)) for name in ("ess", "lowest", "shortfall")}
+    worst = {name: jnp.max(getattr(info, name)) for name in ("invalid", "highest")}
+    worst |= {name: jnp.min(getattr(info, name)) for name in ("ess", "lowest", "shortfall")}
     collapsed = jnp.any(info.collapsed) | ~jnp.isfinite(log_evidence)
-    rest = {name: getattr(info, name)[0] for name in ("nis", "freedom", "alarm", "gated", "lost", "recovered")}
-    return replace(info, log_evidence=log_evidence, collapsed=collapsed, **largest, **least, **rest)
+    return replace(jax.tree.map(lambda leaf: leaf[0], info), log_evidence=log_evidence, collapsed=collapsed, **worst)

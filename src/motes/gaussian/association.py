@@ -86,8 +86,8 @@ def _of_several(rule: Rule, sensor: SeveralTargets, law: Gaussian, y: Any, u: An
     def over(rows: jax.Array, gains: jax.Array, false: jax.Array) -> Correction:
         each = jax.vmap(lambda part: _of_each_plot(rule, one, part, rows, u, t))(parts)
 
-        def associations(log_density: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
-            return associated(list(hit[:, None] + gained(_by_plot(gains, law), log_density)), list(miss), false)
+        def associations(log_density: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return associated(hit[:, None] + gained(_by_plot(gains, law), log_density), miss, false)
 
         (evidence, shares), (highest, _) = associations(each.log_evidence), associations(each.max_log_evidence)
 
@@ -100,7 +100,7 @@ def _of_several(rule: Rule, sensor: SeveralTargets, law: Gaussian, y: Any, u: An
             return law.with_first(after).reordered(jnp.argsort(order)), None
 
         orders = np.array([[*states, *np.setdiff1d(np.arange(law.center.shape[0]), states)] for states in own])
-        after, _ = jax.lax.scan(take_in, law, (jnp.asarray(orders), jnp.stack(shares)))
+        after, _ = jax.lax.scan(take_in, law, (jnp.asarray(orders), shares))
         return Correction(after, shared.base + evidence, shared.base + highest)
 
     wanted = shared.certain | jnp.any(jax.vmap(needs)(parts, miss), axis=0)

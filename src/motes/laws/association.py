@@ -9,7 +9,7 @@ mu(i, j) = hit(i, j) / (miss(i) + sum over other plots of hit nu) and nu(i, j) =
 converge, and are exact where plots and targets that can belong together form a tree.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import jax
 import jax.numpy as jnp
@@ -32,45 +32,44 @@ def gained(gains: jax.Array, log_density: jax.Array) -> jax.Array:
     return jnp.where(jnp.isfinite(gains), gains + log_density, NEVER)
 
 
-def associated(hits: Sequence[jax.Array], misses: Sequence[jax.Array], false: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
-    """Sum over all associations, and say how probable it is of each target that a plot is its own.
+def associated(hits: jax.Array, misses: jax.Array, false: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Sum over all associations, and say how probable it is of each of m targets that a plot is its own.
 
     Args:
-        hits: of each target, log of what each plot brings if it is the target's, `(K, *n)`.
-        misses: of each target, log probability of no plot, `(*n)`.
+        hits: log of what each plot brings if it is a target's, `(m, K, *n)`.
+        misses: log probability of no plot of a target, `(m, *n)`.
         false: log of what each plot brings if it is nobody's, `(K,)`.
 
     Returns:
-        The log of the sum `(*n)`, and for each target the probabilities of no plot and of each `(1 + K, *n)`.
+        The log of the sum `(*n)`, and of each target the probabilities of no plot and of each `(m, 1 + K, *n)`.
     """
     return (_summed if len(hits) <= EXACT else _by_messages)(hits, misses, false)
 
 
-def _summed(hits: Sequence[jax.Array], misses: Sequence[jax.Array], false: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+def _summed(hits: jax.Array, misses: jax.Array, false: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Do what `associated` says, exactly.
 
     The sum is linear in what a target makes of a plot, so that its logarithm's derivative by that of the term is the term's share.
     """
 
-    def total(hits: list[jax.Array], misses: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
-        def plot(totals: jax.Array, now: tuple[list[jax.Array], jax.Array]) -> tuple[jax.Array, None]:
+    def total(hits: jax.Array, misses: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def plot(totals: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
             return with_plot(totals, *now), None
 
-        start = nobody(len(hits), misses[0].shape, misses[0].dtype)
-        found = whole(jax.lax.scan(plot, start, (hits, false))[0], misses)
+        start = nobody(len(hits), misses.shape[1:], misses.dtype)
+        found = whole(jax.lax.scan(plot, start, (jnp.swapaxes(hits, 0, 1), false))[0], misses)
         return jnp.sum(jnp.where(jnp.isfinite(found), found, 0)), found
 
-    (_, found), (of_plots, of_none) = jax.value_and_grad(total, (0, 1), has_aux=True)(list(hits), list(misses))
-    return found, [jnp.concatenate([none[None], plots]) for none, plots in zip(of_none, of_plots, strict=True)]
+    (_, found), (of_plots, of_none) = jax.value_and_grad(total, (0, 1), has_aux=True)(hits, misses)
+    return found, jnp.concatenate([of_none[:, None], of_plots], axis=1)
 
 
-def _by_messages(hits: Sequence[jax.Array], misses: Sequence[jax.Array], false: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+def _by_messages(hits: jax.Array, misses: jax.Array, false: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Do what `associated` says, by belief propagation."""
-    own, none = jnp.stack(hits), jnp.stack(misses)
-    tiny = jnp.finfo(own.dtype).tiny ** 0.5
-    top = jnp.maximum(jnp.max(own, axis=1, initial=NEVER), none)
-    hit, miss = jnp.exp(own - top[:, None]), jnp.maximum(jnp.exp(none - top), tiny)[:, None]
-    nobodys = jnp.maximum(jnp.exp(false), tiny).reshape(-1, *[1] * (own.ndim - 2))
+    tiny = jnp.finfo(hits.dtype).tiny ** 0.5
+    top = jnp.maximum(jnp.max(hits, axis=1, initial=NEVER), misses)
+    hit, miss = jnp.exp(hits - top[:, None]), jnp.maximum(jnp.exp(misses - top), tiny)[:, None]
+    nobodys = jnp.maximum(jnp.exp(false), tiny).reshape(-1, *[1] * (hits.ndim - 2))
 
     def to_plots(of_plots: jax.Array) -> jax.Array:
         return hit / (miss + _others(hit * of_plots, 1))
@@ -85,7 +84,7 @@ def _by_messages(hits: Sequence[jax.Array], misses: Sequence[jax.Array], false: 
     # the sum by Bethe's free energy
     total = jnp.sum(top + jnp.log(rows), axis=0) + jnp.sum(jnp.log(nobodys + jnp.sum(of_targets, axis=0)), axis=0)
     total = total - jnp.sum(jnp.log1p(of_targets * of_plots), axis=(0, 1))
-    return jnp.where(total < 0.5 * NEVER, -jnp.inf, total), list(jnp.concatenate([miss, weighted], axis=1) / rows[:, None])
+    return jnp.where(total < 0.5 * NEVER, -jnp.inf, total), jnp.concatenate([miss, weighted], axis=1) / rows[:, None]
 
 
 def _others(values: jax.Array, axis: int) -> jax.Array:
@@ -103,7 +102,7 @@ def nobody(count: int, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
     return jnp.full((2**count, *shape), NEVER, dtype).at[0].set(0)
 
 
-def with_plot(totals: jax.Array, hits: list[jax.Array], false: jax.Array) -> jax.Array:
+def with_plot(totals: jax.Array, hits: Iterable[jax.Array], false: jax.Array) -> jax.Array:
     """Take one more plot into the sums `(2^T, *n)` over associations, by the set of targets that have a plot, as the bits of its number.
 
     Args:
@@ -120,7 +119,7 @@ def with_plot(totals: jax.Array, hits: list[jax.Array], false: jax.Array) -> jax
     return found
 
 
-def whole(totals: jax.Array, misses: Sequence[jax.Array]) -> jax.Array:
+def whole(totals: jax.Array, misses: Iterable[jax.Array]) -> jax.Array:
     """Sum `(2^T, *n)` over the sets of targets that have a plot; those that have none are missed."""
     found = jax.nn.logsumexp(jnp.stack([
         total + sum(miss for i, miss in enumerate(misses) if not taken >> i & 1) for taken, total in enumerate(totals)

@@ -177,17 +177,27 @@ class Cluttered(Conditional):
             found = jnp.log(self.rate) + jax.vmap(self.law.log_prob)(rows), -self.rate
         return found[0].astype(rows.dtype), found[1].astype(rows.dtype)
 
-    def shared(self, rows: jax.Array) -> Shared:
-        """Work out what all particles share of a scan `(K, z)`."""
+    def all_false(self, rows: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return what a scan `(K, z)` is if no plot is a target's.
+
+        Returns:
+            Its log likelihood `()`, without plots where no false ones can be; what the log density of each plot is added to if it is a
+            target's, `(K,)`, minus infinity where there is none; and which ones can be nobody's, `(K,)`.
+        """
         there = ~jnp.all(jnp.isnan(rows), axis=1)
         log_intensity, base = self.log_intensity(rows)
-        # a plot where no false ones can be is the target's, and of two such at least one is nobody's
         possible = jnp.isfinite(log_intensity)
-        certain = jnp.sum(there & ~possible)
         base = base + jnp.sum(jnp.where(there & possible, log_intensity, 0))
-        alone = jnp.where(possible, -jnp.inf, 0)
-        gains = jnp.where(certain == 0, -log_intensity, jnp.where(certain == 1, alone, -jnp.inf))
-        return Shared(base, jnp.where(certain == 0, 0, -jnp.inf).astype(rows.dtype), jnp.where(there, gains, -jnp.inf).astype(rows.dtype))
+        gains = jnp.where(there, jnp.where(possible, -log_intensity, 0), -jnp.inf).astype(rows.dtype)
+        return base, gains, possible | ~there
+
+    def shared(self, rows: jax.Array) -> Shared:
+        """Work out what all particles share of a scan `(K, z)`."""
+        base, gains, possible = self.all_false(rows)
+        # a plot where no false ones can be is the target's, and of two such at least one is nobody's
+        certain = jnp.sum(~possible)
+        gains = jnp.where(certain == 0, gains, jnp.where((certain == 1) & ~possible, gains, -jnp.inf))
+        return Shared(base, jnp.where(certain == 0, 0, -jnp.inf).astype(rows.dtype), gains)
 
     def log_prob(self, value: Any, X: jax.Array, u: Any, t: Any) -> jax.Array:
         """Log density of a scan given each particle, `(n,)`, with respect to that of plots z in their units, per plot."""

@@ -149,13 +149,8 @@ class SeveralTargets(Conditional):
 
     def shared(self, rows: jax.Array) -> "Shared":
         """Work out what all particles share of a scan `(K, z)`."""
-        there = ~jnp.all(jnp.isnan(rows), axis=1)
-        log_intensity, none_false = self.one.log_intensity(rows)
-        possible = jnp.isfinite(log_intensity)
-        base = none_false + jnp.sum(jnp.where(there & possible, log_intensity, 0))
-        gains = jnp.where(there, jnp.where(possible, -log_intensity, 0), -jnp.inf)
-        certain = there & ~possible
-        return Shared(base, gains, jnp.where(certain, NEVER, 0).astype(rows.dtype), certain)
+        base, gains, possible = self.one.all_false(rows)
+        return Shared(base, gains, jnp.where(possible, 0, NEVER).astype(rows.dtype))
 
 
 class Shared(NamedTuple):
@@ -165,10 +160,13 @@ class Shared(NamedTuple):
         base: log likelihood if all plots were false, `()`; plots where no false ones can be are left out.
         gains: what the log density of a plot is added to where it is a target's, `(K,)`; minus infinity where there is none.
         false: log of what a plot brings if it is nobody's, `(K,)`: 0, or `NEVER`.
-        certain: whether a plot must be a target's, `(K,)`.
     """
 
     base: jax.Array
     gains: jax.Array
     false: jax.Array
-    certain: jax.Array
+
+    @property
+    def certain(self) -> jax.Array:
+        """Whether a plot must be a target's, `(K,)`."""
+        return self.false < 0
