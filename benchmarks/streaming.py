@@ -2,7 +2,7 @@
 
     python benchmarks/streaming.py [STEPS]
 
-A step is `update(y)` and `predict()`, until the new law is there. Memory is what the process holds after the first tenth of the steps and
+A step is `predict()` and `update(y)`, until the new law is there. Memory is what the process holds after the first tenth of the steps and
 at the end.
 """
 
@@ -28,11 +28,12 @@ def main(steps):
     model = radar_model()
     ys = np.asarray(mo.simulate(0, model, 200)[1])
     stream = mo.stream(0, mo.ParticleFilter(n=PARTICLES, on_collapse="predict"), model)
+    stream.update(ys[0])
     seconds = np.full(steps, np.nan)
     for i in range(-2, steps):
         begun = time.perf_counter()
-        stream.update(ys[i % len(ys)])
         stream.predict()
+        stream.update(ys[i % len(ys)])
         jax.block_until_ready(stream.state)
         if i >= 0:
             seconds[i] = time.perf_counter() - begun

@@ -8,7 +8,7 @@ import pytest
 
 import motes as mo
 from motes.filters import run as running
-from motes.filters import stream as streaming
+from motes.filters import stream_steps as streaming
 from motes.models import simulate as simulating
 
 
@@ -69,7 +69,7 @@ CASES = {
 
 @pytest.mark.parametrize(("build", "make"), CASES.values(), ids=CASES.keys())
 def test_rebuilt_models_compile_nothing_anew(build, make):
-    programs = (running._run, simulating._simulate, streaming._start, streaming._move, streaming._take_in, streaming._advance)
+    programs = (running._run, simulating._simulate, streaming.start, streaming.move, streaming.take_in, streaming.advance)
 
     def everything():
         ys = np.array(mo.simulate(1, build(), 6)[1])

@@ -150,11 +150,12 @@ def unknown(value: Any, dtype: Any = None, nan: bool = True) -> np.ndarray | Non
         dtype: type it is computed with; the one JAX gives it otherwise.
         nan: whether NaN counts.
     """
-    array = np.asarray(value)
-    if not jnp.issubdtype(array.dtype, jnp.floating):
-        return None
-    with np.errstate(over="ignore"):
-        held = array.astype(jax.dtypes.canonicalize_dtype(array.dtype) if dtype is None else dtype, copy=False)
+    held = np.asarray(value)
+    if dtype is None or held.dtype != dtype:  # a stream asks this at each step
+        if not jnp.issubdtype(held.dtype, jnp.floating):
+            return None
+        with np.errstate(over="ignore"):
+            held = held.astype(jax.dtypes.canonicalize_dtype(held.dtype) if dtype is None else dtype, copy=False)
     wrong = ~np.isfinite(held) if nan else np.isinf(held)
     return np.argwhere(wrong)[0] if wrong.any() else None
 

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from motes.core.record import record, static
+from motes.core.packed import Packed
 
 C = TypeVar("C")
 K = TypeVar("K")
@@ -30,47 +30,16 @@ def loop(step: Callable[[C, Any], tuple[C, K]], first: C, rows: Any, count: jax.
         last = jax.lax.fori_loop(0, count, lambda t, carry: step(carry, jax.tree.map(lambda leaf: leaf[t], rows))[0], first)
         return last, None  # type: ignore[return-value]
 
-    def advance(held: tuple[C, Any], after: Any) -> tuple[tuple[C, Any], _Packed]:
+    def advance(held: tuple[C, Any], after: Any) -> tuple[tuple[C, Any], Packed]:
         carry, now = held
         carry, kept = step(carry, now)
-        return (carry, after), _Packed.of(kept)
+        return (carry, after), Packed.of(kept)
 
     there = jax.tree.leaves(rows)[0].shape[0]
     after = jax.tree.map(lambda leaf: jnp.concatenate([leaf[1:], leaf[-1:]]), rows)
     now = jax.tree.map(lambda leaf: leaf[0] if there else jnp.zeros(leaf.shape[1:], leaf.dtype), rows)
     (last, _), kept = jax.lax.scan(advance, (first, now), after)
-    return last, kept.unpacked()
-
-
-@record
-class _Packed:
-    """What a step keeps, numbers of one type together: to write one array at each step takes less time than many.
-
-    Attributes:
-        arrays: those that are none of numbers as they are, of numbers one for each type `(k,)`; of many steps with the time axis first.
-        places: for each of the arrays the places of its parts among the leaves.
-        tree: structure of what was kept.
-    """
-
-    arrays: tuple[jax.Array, ...]
-    places: tuple[tuple[int, ...], ...] = static()
-    tree: Any = static()
-
-    @classmethod
-    def of(cls, kept: Any) -> "_Packed":
-        leaves, tree = jax.tree.flatten(kept)
-        leaves = [jnp.asarray(leaf) for leaf in leaves]
-        groups: dict[Any, list[int]] = {}
-        for place, leaf in enumerate(leaves):
-            groups.setdefault(leaf.dtype if leaf.ndim == 0 else place, []).append(place)
-        arrays = [leaves[own[0]] if len(own) == 1 else jnp.stack([leaves[place] for place in own]) for own in groups.values()]
-        return cls(tuple(arrays), tuple(map(tuple, groups.values())), tree)
-
-    def unpacked(self) -> Any:
-        """Return what was kept of all steps, with the time axis first."""
-        found = [(place, rows if len(own) == 1 else rows[:, k])
-                 for rows, own in zip(self.arrays, self.places, strict=True) for k, place in enumerate(own)]  # fmt: skip
-        return jax.tree.unflatten(self.tree, [leaf for _, leaf in sorted(found, key=lambda one: one[0])])
+    return last, kept.whole()
 
 
 def with_first(first: K, rest: K) -> K:

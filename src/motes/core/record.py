@@ -64,10 +64,8 @@ def record(cls: type[T]) -> type[T]:
 
     def unflatten(structure: Any, children: Any) -> Any:
         self = object.__new__(made)
-        for name, value in structure[:-1]:
-            object.__setattr__(self, name, value)
-        for name, value in zip(structure[-1][1], children, strict=True):
-            object.__setattr__(self, name, value)
+        self.__dict__.update(structure[:-1])
+        self.__dict__.update(zip(structure[-1][1], children, strict=True))
         return self
 
     jax.tree_util.register_pytree_with_keys(made, flatten_with_keys, unflatten, flatten)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks
-from motes.filters.history import Carry
+from motes.core.packed import Packed
 from motes.laws.observed import Observed
 
 
@@ -25,7 +25,7 @@ class Past:
     """
 
     lag: int
-    steps: deque[tuple[Carry | None, Any, Any]] = field(default_factory=deque)
+    steps: deque[tuple[Packed | None, Any, Any]] = field(default_factory=deque)
     begin: int = 0
 
     def __post_init__(self) -> None:
@@ -33,7 +33,7 @@ class Past:
         if isinstance(self.lag, bool) or not isinstance(self.lag, (int, np.integer)) or self.lag < 0:
             checks.refuse("stream lag", "a whole number of steps, 0 or more", repr(self.lag))
 
-    def opened(self, before: Carry | None, u: Any, y: Any) -> None:
+    def opened(self, before: Packed | None, u: Any, y: Any) -> None:
         """Note that a step has begun."""
         self.steps.append((before, u, y))
         while len(self.steps) > self.lag + 1:

@@ -10,59 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
+from motes.core.packed import Packed
 from motes.core.types import Inputs, KeyLike
 from motes.filters.data import checked_data, is_array, refuse_infinite
 from motes.filters.history import Carry, History, ask_evidence, measurement_form
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.late import Past, joined_measurement
-from motes.filters.setup import Setup, canonical_parts, carry_like, setup
+from motes.filters.setup import canonical_parts, carry_like
+from motes.filters.stream_steps import advance, handed_on, move, start, take_in
 from motes.io import archive
 from motes.io.members import Form
 from motes.laws.observed import Observed, nothing_like, value_of
 from motes.models.canonical import shape_of
 from motes.models.interface import Model
 from motes.models.state_space import numbers_of
-from motes.native import report
-from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
-
-
-def _ready(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Setup:
-    # key, filter and model come as arrays and form: to take them apart anew at each step would cost more than many a filter does
-    key, filter, model = jax.tree.unflatten(form[0], parts)
-    return setup(key, filter, model, u, y)
-
-
-def _is_light(form: Any, *rest: Any) -> bool:
-    return form[2]
-
-
-@partial(jitted, few=_is_light, static_argnums=0)
-def _start(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Carry:
-    with report.collected():
-        return _ready(form, parts, u, y).start(u, y)
-
-
-@partial(jitted, few=_is_light, static_argnums=0)
-def _move(form: Any, parts: list[Any], carry: Carry, u: Inputs) -> Carry:
-    with report.collected():
-        return _ready(form, parts, u, carry.y).predict(carry, u)
-
-
-@partial(jitted, few=_is_light, static_argnums=0)
-def _take_in(form: Any, parts: list[Any], carry: Carry, y: jax.Array) -> tuple[Carry, Info]:
-    with report.collected() as notes:
-        ready = _ready(form, parts, carry.u, y)
-        taken = ready.update(carry, y)
-        report.complete(notes, type(ready.filter).__name__)
-    return taken
-
-
-@partial(jitted, few=_is_light, static_argnums=0)
-def _advance(form: Any, parts: list[Any], carry: Carry, y: jax.Array, u: Inputs) -> tuple[Carry, Info]:
-    with report.collected():
-        return _ready(form, parts, u, y).step(carry, y, u)
 
 
 @partial(jax.jit, static_argnames=("what",))
@@ -73,8 +36,8 @@ def _moment(state: Any, what: str) -> jax.Array:
 class Stream:
     """A filter at work: `update(y)`, `predict(u)`, `update(y)`, ... A `predict` without an `update` is a step without measurement.
 
-    A filter with look-ahead (a particle filter with a proposal) moves only when the measurement comes: its `predict` is remembered, and the
-    following `update` does the whole step.
+    `predict` only remembers the step: the following `update` does it whole, in one program. Where the law is asked for in between, it is
+    moved first; that of a filter with look-ahead (a particle filter with a proposal) moves only when the measurement comes.
     """
 
     def __init__(self, key: KeyLike, filter: Filter, model: Any, inputs: Inputs = None, lag: int = 0):
@@ -93,7 +56,8 @@ class Stream:
         self._parts: list[Any] = []
         self._form: Any = None
         self._input_shapes: Any = None
-        self._carry: Carry | None = None
+        self._held: Packed | None = None
+        self._like: Any = None
         self._pending: list[Inputs] = []
         self._updated = False
         self.info: Info | None = None
@@ -111,20 +75,23 @@ class Stream:
         if self._updated:
             checks.refuse("update", "one measurement per step", "a second one", "Call predict(u) first.")
         y = self._checked(y)
-        carry = self._opened(y)
+        held = self._opened(y)
         if self._pending:
-            carry, info = _advance(self._form, self._parts, carry, y, self._pending[-1])
+            held, kept = advance(self._form, self._parts, held, y, self._pending[-1])
         else:
-            carry, info = _take_in(self._form, self._parts, carry, y)
-        self._ask_sound(carry, info)
+            held, kept = take_in(self._form, self._parts, held, y)
+        info = self._sound(held, kept)
         self._past.measured(y)
-        self._carry, self.info, self._updated, self._pending = carry, info, True, []
+        self._held, self.info, self._updated, self._pending = held, info, True, []
         return info
 
-    def _ask_sound(self, carry: Carry, info: Info) -> None:
+    def _sound(self, held: Packed, kept: Packed) -> Info:
+        """Return the record of a step, unless it is one that the filter is to stop at."""
+        info: Info = kept.whole()
         if self.filter.on_collapse == "raise" and bool(info.collapsed):
-            at_step = jax.tree.map(lambda leaf: leaf[None], info)
+            at_step, carry = jax.tree.map(lambda leaf: leaf[None], info), held.whole()
             History({}, at_step, carry, carry.step, self.model.names, repr(self.filter), **self.filter.traits).raise_on_collapse()
+        return info
 
     def predict(self, u: Inputs = None) -> None:
         """Go to the next step, with its inputs u.
@@ -133,15 +100,11 @@ class Stream:
             MotesError: an input is not a finite number.
         """
         u = numbers_of("predict u", u)
-        self._settle_pending()
-        carry = self._opened(None)
-        self._fit(u, carry.y)
-        self._past.opened(carry, u, None)
-        if self.filter.look_ahead:
-            self._pending = [u]
-        else:
-            self._carry = _move(self._form, self._parts, carry, u)
-        self._updated = False
+        self._settle()
+        held = self._opened(None)
+        self._fit(u, self._like)
+        self._past.opened(held, u, None)
+        self._pending, self._updated = [u], False
 
     def insert(self, y: Any, t: int) -> None:
         """Take in a measurement that came late, of a step before the present one.
@@ -156,8 +119,8 @@ class Stream:
             MotesError: the step is not kept, or had this measurement already.
         """
         place = self._past.place(t)
-        steps, carry, info = list(self._past.steps), self._carry, self.info
-        assert carry is not None
+        steps, held, info = list(self._past.steps), self._held, self.info
+        assert held is not None
         before, u, there = steps[place]
         steps[place] = (before, u, joined_measurement(there, self._checked(y)))
         latest = len(steps) - 1
@@ -165,26 +128,33 @@ class Stream:
             before, u, there = steps[now]
             if now > place and now == latest and not self._updated:
                 # the present step has no measurement yet
-                carry = before if self.filter.look_ahead else _move(self._form, self._parts, before, u)
+                held, self._pending = before, [u]
                 break
-            y = nothing_like(carry.y) if there is None else there
+            y = self._nothing() if there is None else there
             if before is None:
-                carry, info = _take_in(self._form, self._parts, _start(self._form, self._parts, u, y), y)
+                held, kept = take_in(self._form, self._parts, start(self._form, self._parts, u, y), y)
             else:
-                carry, info = _advance(self._form, self._parts, before, y, u)
-            self._ask_sound(carry, info)
+                held, kept = advance(self._form, self._parts, before, y, u)
+            info = self._sound(held, kept)
             if now < latest:
-                steps[now + 1] = (carry, *steps[now + 1][1:])
+                steps[now + 1] = (held, *steps[now + 1][1:])
         if place == latest:
             self._updated, self._pending = True, []
-        self._carry, self.info, self._past.steps = carry, info, deque(steps)
+        self._held, self.info, self._past.steps = held, info, deque(steps)
 
-    def _settle_pending(self) -> None:
-        """A look-ahead step whose measurement never came is a step without measurement."""
-        if self._pending:
-            carry = self._opened(None)
-            self._carry, self.info = _advance(self._form, self._parts, carry, nothing_like(carry.y), self._pending[-1])
-            self._pending = []
+    def _moved(self) -> Packed:
+        """Move to the present step, where the filter can without a measurement."""
+        if self._pending and not self.filter.look_ahead:
+            self._held, self._pending = move(self._form, self._parts, self._opened(None), self._pending[-1]), []
+        return self._opened(None)
+
+    def _settle(self) -> None:
+        """A step whose measurement never came is a step without measurement, at the latest where the next one begins."""
+        if self._pending and self.filter.look_ahead:
+            self._held, kept = advance(self._form, self._parts, self._held, self._nothing(), self._pending[-1])
+            self.info, self._pending = kept.whole(), []
+        else:
+            self._moved()
 
     def _fit(self, u: Inputs, y: Any) -> None:
         """Find the form under which compiled code is shared with equal filters and models; it holds for inputs of one shape."""
@@ -203,52 +173,51 @@ class Stream:
     def _checked(self, y: Any) -> Any:
         if y is None:
             return self._nothing()
-        if self._carry is None or isinstance(self._carry.y, Observed) or not is_array(y):
+        if self._held is None or isinstance(self._like, Observed) or not is_array(y):
             if is_array(y):
                 rows = np.atleast_1d(checks.as_numbers("y", y))[None]
             else:
                 rows = jax.tree.map(lambda leaf: np.asarray(checks.as_numbers("y", leaf))[None], y)
             found = jax.tree.map(lambda leaf: leaf[0], checked_data(self.model, rows, None)[0])
-            form, first = (jax.tree.map(shape_of, one) for one in (found, found if self._carry is None else self._carry.y))
+            form, first = (jax.tree.map(shape_of, one) for one in (found, found if self._held is None else self._like))
             if form != first:
                 checks.refuse("y", f"the form of the first one, {_in_short(first)}", _in_short(form))
             return found
         y = np.atleast_1d(checks.as_numbers("y", y))
-        checks.shape("y", y, self._carry.y.shape, "(as the first one)")
-        refuse_infinite("y", y, self._carry.y.dtype)
-        return np.asarray(y, self._carry.y.dtype)
+        checks.shape("y", y, self._like.shape, "(as the first one)")
+        refuse_infinite("y", y, self._like.dtype)
+        return np.asarray(y, self._like.dtype)
 
     def _nothing(self) -> Any:
         """Return a measurement that says that nothing was measured."""
-        if self._carry is not None:
-            return nothing_like(self._carry.y)
+        if self._held is not None:
+            return nothing_like(self._like)
         size = self.model.measurement_size(self._inputs)
         if size is None:
             checks.refuse("y", "a first measurement, which shows its form (the sensor is a Custom density)", "None",
                           "Give NaN in its form where nothing was measured.")
         return np.full((size,), np.nan, self.model.dtype)
 
-    def _opened(self, y: Any) -> Carry:
-        if self._carry is None:
+    def _opened(self, y: Any) -> Any:
+        if self._held is None:
             if y is None:
                 checks.refuse("predict", "a measurement of step 0 first", "none", "Call update(y) with NaN if nothing was measured.")
             self._fit(self._inputs, y)
-            self._carry = _start(self._form, self._parts, self._inputs, y)
+            self._like, self._held = y, start(self._form, self._parts, self._inputs, y)
             self._past.opened(None, self._inputs, None)
-        assert self._carry is not None
-        return self._carry
+        return self._held
 
     @property
     def t(self) -> int:
         """Index of the present step."""
-        return 0 if self._carry is None else int(self._carry.step) + len(self._pending)
+        return 0 if self._held is None else int(self._held.whole().step) + len(self._pending)
 
     @property
     def state(self) -> Any:
         """The present law."""
-        if self._carry is None:
+        if self._held is None:
             checks.refuse("stream", "a first measurement", "none yet", "Call update(y).")
-        return self._carry.state
+        return self._moved().whole().state
 
     @property
     def mean(self) -> jax.Array:
@@ -264,7 +233,7 @@ class Stream:
     def log_likelihood(self) -> jax.Array:
         """Log density of all measurements so far, `()`."""
         ask_evidence("stream.log_likelihood", self.filter.has_evidence, repr(self.filter))
-        return jnp.zeros(()) if self._carry is None else self._carry.evidence.value()
+        return jnp.zeros(()) if self._held is None else self._held.whole().evidence.value()
 
     def save(self, path: str | Path) -> Path:
         """Write a checkpoint (`.npz`), whole or not at all.
@@ -273,15 +242,12 @@ class Stream:
             FileError: the file cannot be written.
             MotesError: nothing has been measured yet.
         """
-        self._settle_pending()
-        texts = {"filter": repr(self.filter), "names": list(self.model.names), "updated": self._updated}
-        data = {"carry": self._carry_now(), "key": jax.random.key_data(self.key)}
-        return archive.write_tree(Path(path), data, texts, kind="checkpoint")
-
-    def _carry_now(self) -> Carry:
-        if self._carry is None:
+        if self._held is None:
             checks.refuse("save", "a stream that has begun", "one without a measurement", "Call update(y) first.")
-        return self._carry
+        self._settle()
+        texts = {"filter": repr(self.filter), "names": list(self.model.names), "updated": self._updated}
+        data = {"carry": self._held.whole(), "key": jax.random.key_data(self.key)}
+        return archive.write_tree(Path(path), data, texts, kind="checkpoint")
 
     @classmethod
     def load(cls, path: str | Path, filter: Filter, model: Any, inputs: Inputs = None) -> "Stream":
@@ -315,7 +281,7 @@ class Stream:
         tree, texts = archive.read_tree(path, "checkpoint", check)
         stream = cls(jax.random.wrap_key_data(jnp.asarray(tree["key"], jnp.uint32)), filter, model)
         carry: Carry = archive.fill(path, like(tree["carry"]), tree["carry"])
-        stream._carry = carry
+        stream._like, stream._held = carry.y, handed_on(carry)
         stream._fit(carry.u, carry.y)
         stream._updated = bool(texts.get("updated"))
         return stream

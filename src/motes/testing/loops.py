@@ -49,7 +49,7 @@ def unmeasured(session: Session) -> str | None:
 def cut(session: Session) -> str | None:
     """A run that is continued goes on as a stream that is not cut, to the bit."""
     rest, stream = session.run(session.gappy[STEPS:], after=session.whole), session.stream()
-    means = session.fed(stream, range(2 * STEPS))
+    means = session.fed(stream, range(2 * STEPS), looked_at=range(STEPS // 2, 2 * STEPS, 2))
     wrong = _unlike("a stream and the run that was cut: the means", np.stack(means), joined([session.whole, rest]).mean)
     wrong = wrong or _unlike("a stream and the run that was cut: the last laws", stream.state, rest.state)
     if wrong is None and session.filter.has_evidence:

@@ -109,16 +109,18 @@ class Session:
         """The run over measurements without gaps."""
         return self.run(self.ys)
 
-    def fed(self, stream: Stream, rows: Sequence[int], unmeasured: Sequence[int] = ()) -> list[np.ndarray]:
+    def fed(self, stream: Stream, rows: Sequence[int], unmeasured: Sequence[int] = (), looked_at: Sequence[int] = ()) -> list[np.ndarray]:
         """Lead a stream through rows of the measurements with gaps, in order, from where it stands; gives the mean after each.
 
-        Rows in `unmeasured` are predicted and not updated, unlike rows of NaN, which are both.
+        Rows in `unmeasured` are predicted and not updated, unlike rows of NaN, which are both. At those in `looked_at` the law is asked
+        for in between.
         """
         means = []
         with quietly():
             for row in rows:
                 if row:  # row 0 is of the initial state, before any dynamics
                     stream.predict()
+                    _ = stream.state if row in looked_at else None
                 if row not in unmeasured:
                     stream.update(self.gappy[row])
                 means.append(np.asarray(stream.mean))
