@@ -42,6 +42,7 @@ from .filters.jpda_particle import JPDAParticleFilter as JPDAParticleFilter
 from .filters.jump_markov import JumpMarkovFilter as JumpMarkovFilter
 from .filters.kalman import KalmanFilter as KalmanFilter
 from .filters.kernel import KalmanParticleKernelFilter as KalmanParticleKernelFilter
+from .filters.landmark import LandmarkFilter as LandmarkFilter
 from .filters.marginalized import MarginalizedParticleFilter as MarginalizedParticleFilter
 from .filters.particle import ParticleFilter as ParticleFilter
 from .filters.point_mass import PointMassFilter as PointMassFilter
@@ -67,12 +68,14 @@ from .laws.noise import Laplace as Laplace
 from .laws.noise import StudentT as StudentT
 from .laws.noise import Uniform as Uniform
 from .laws.scans import plots as plots
+from .laws.sightings import sightings as sightings
 from .mcmc.chains import Chains as Chains
 from .mcmc.sample import sample as sample
 from .models import terrain as terrain
 from .models import textbook as textbook
 from .models.interface import Model as Model
 from .models.jump_markov import JumpMarkovModel as JumpMarkovModel
+from .models.map_model import MapModel as MapModel
 from .models.mixed_linear import MixedLinearModel as MixedLinearModel
 from .models.simulate import simulate as simulate
 from .models.state_space import StateSpaceModel as StateSpaceModel

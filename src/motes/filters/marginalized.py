@@ -12,6 +12,7 @@ covariance P.
 The paper begins with step 4. Where nothing in the covariance recursion depends on the particle, one P serves all.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -156,9 +157,10 @@ def _innovation(key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.
     return alarm.of_mixture(model.mixed.angles, predicted.center, predicted.covariance, log_weights, y)
 
 
-def moved(
-    key: jax.Array, model: SplitModel, cloud: MarginalCloud, example: jax.Array, u: Any, t: Any, first: jax.Array | None = None
-) -> MarginalCloud:
+def moved(  # noqa: PLR0913 (a step of a filter, and how places are drawn)
+    key: jax.Array, model: SplitModel, cloud: MarginalCloud, example: jax.Array, u: Any, t: Any, first: jax.Array | None = None,
+    drawn: Callable[[jax.Array, Gaussian], jax.Array] | None = None,
+) -> MarginalCloud:  # fmt: skip
     """Move the particles, then correct and predict their Gaussians (steps 2 and 3).
 
     Args:
@@ -169,23 +171,29 @@ def moved(
         u: inputs of the step.
         t: its number.
         first: where the first particle goes `(p,)`, for conditional sequential Monte Carlo; None draws it like the others.
+        drawn: gives of a key and the Gaussians of what is to come how far each goes from its mean `(p, n)`; None draws from them.
     """
+    drawn = _offsets if drawn is None else drawn
     of_p, of_k = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
     angles = tuple(place for place in model.places if place < of_p.f.shape[0])
     if model.drives:
         # 2. draw x_p' with the spread of x_k; 3. correct the Gaussians by it
         expected = cloud.kalman.through(of_p.A, of_p.f, of_p.Q)
-        offset = Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, of_p.f.shape[-1])
+        offset = drawn(key, expected)
         if first is not None:
             offset = offset.at[:, 0].set(wrap(first - expected.center[:, 0], angles))
         informed, x_p = cloud.kalman.corrected(offset, of_p.A, of_p.Q).law, expected.center + offset
     else:
         # 2. draw x_p', which tells nothing of x_k
-        informed, x_p = cloud.kalman, Gaussian(of_p.f, of_p.Q).sample(key, of_p.f.shape[-1])
+        informed, x_p = cloud.kalman, of_p.f + drawn(key, Gaussian(of_p.f, of_p.Q))
         x_p = x_p if first is None else x_p.at[:, 0].set(near(first, of_p.f[:, 0], angles))
     # 3. predict the Gaussians
     f, A, Q = _decorrelated(of_p, of_k, model.cross_cov(cloud.particles, example, u, t), x_p)
     return replace(cloud, particles=x_p, kalman=informed.through(A, f, Q))
+
+
+def _offsets(key: jax.Array, expected: Gaussian) -> jax.Array:
+    return Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, expected.center.shape[-1])
 
 
 def _decorrelated(of_p: Affine, of_k: Affine, cross_cov: jax.Array | None, x_p: jax.Array) -> Affine:
