@@ -89,7 +89,7 @@ class LandmarkFilter(LookAheadFilter, TwoStageFilter):
 
     Attributes:
         n: number of particles.
-        proposal: whether particles move knowing the sightings (FastSLAM 2); those of landmarks that are not yet one Gaussian do not move them.
+        proposal: whether particles move knowing the sightings (FastSLAM 2), but for landmarks that are not yet one Gaussian.
         scheme: how ancestors are drawn.
         policy: when to resample, at the start of a step.
     """
