@@ -7,6 +7,7 @@ from typing import Any
 import jax
 
 from motes.core import checks
+from motes.laws.cloud import Cloud
 
 Keep = Callable[[Any], dict[str, Any]]
 
@@ -24,6 +25,19 @@ def means(law: Any) -> dict[str, jax.Array]:
 def laws(law: Any) -> dict[str, Any]:
     """Keep everything: memory grows with the number of particles times steps."""
     return {"mean": law.mean(), "cov": law.cov(), "law": law}
+
+
+def paths(law: Any) -> dict[str, Any]:
+    """Keep mean, covariance, and particles with their ancestors but without what each carries (a Gaussian, a map); for `GenealogySmoother`.
+
+    Raises:
+        MotesError: the law has no particles that name their ancestors.
+    """
+    found = law.weighted_points() if getattr(law, "marks_ancestors", False) else None
+    if found is None:
+        checks.refuse("keep.paths", "a filter whose particles name their ancestors", f"one whose law is a {type(law).__name__}")
+    points, log_weights = found
+    return {**moments(law), "law": Cloud(points, log_weights, law.ancestors)}
 
 
 def modes(law: Any, count: int = 0) -> dict[str, jax.Array]:

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 
 from motes.core import linalg, sums
 from motes.core.record import record, replace
-from motes.laws.cloud import Cloud
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
 from motes.laws.marginal_cloud import MarginalCloud
@@ -103,11 +102,6 @@ class MapCloud(Law):
     def weighted_points(self) -> tuple[jax.Array, jax.Array]:
         """Return particles and means of the Kalman part, in the user's order, and their log weights."""
         return self.path.weighted_points()
-
-    def cloud(self) -> Cloud:
-        """Return the particles alone, with the means of the Kalman part, as a `Cloud` of all states."""
-        points, log_weights = self.path.weighted_points()
-        return Cloud(points, log_weights, self.ancestors)
 
     def landmarks(self) -> Landmarks:
         """Return mean and covariance of each landmark over particles and Gaussians."""

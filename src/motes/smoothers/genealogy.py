@@ -17,13 +17,16 @@ from motes.core import checks
 from motes.core.record import record, static
 from motes.filters.history import History
 from motes.laws.cloud import Cloud
-from motes.models.state_space import StateSpaceModel, as_state_space, at_step
+from motes.models.interface import Model
+from motes.models.state_space import at_step
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws, summed_up
 
 
 @record
 class GenealogySmoother(Smoother):
     """Genealogy smoother; it works with clouds and needs no density of the dynamics. With a lag it gives no paths.
+
+    Of filters whose particles carry more, such as `MarginalizedParticleFilter` and `LandmarkFilter`, it takes what `mo.keep.paths` keeps.
 
     Source: Kitagawa 1996, Monte Carlo filter and smoother for non-Gaussian nonlinear state space models.
 
@@ -49,19 +52,20 @@ class GenealogySmoother(Smoother):
         if self.lag is not None:
             checks.positive_integer("GenealogySmoother lag", self.lag)
 
-    def prepare(self, model: Any, history: History, u: Any) -> StateSpaceModel:
+    def prepare(self, model: Any, history: History, u: Any) -> Model:
         """Ask for clouds whose particles descend from one another.
 
         Raises:
             MotesError: the history has none.
         """
-        ask_laws("GenealogySmoother", history, Cloud)
+        if not isinstance(history.kept.get("law"), Cloud):  # `keep.paths` gives one whatever the law of the filter
+            ask_laws("GenealogySmoother", history, Cloud)
         if not history.descends:
             checks.refuse("GenealogySmoother history", "particles that came from the ancestors they name", history.label or "others",
                           "Use BackwardSimulationSmoother.")
-        return as_state_space("GenealogySmoother", model)
+        return checks.instance("GenealogySmoother model", model, Model, "the model of the run")
 
-    def smooth(self, key: jax.Array, model: StateSpaceModel, history: History, steps: Steps) -> Smoothed:
+    def smooth(self, key: jax.Array, model: Model, history: History, steps: Steps) -> Smoothed:
         """Follow the ancestors."""
         clouds: Cloud = history.law
         return _followed(clouds, model.modes) if self.lag is None else _lagged(clouds, self.lag, model.modes)
