@@ -14,6 +14,7 @@ from motes.laws.gaussian import Correction, Gaussian
 from motes.laws.law import Law
 from motes.laws.observed import Observed, value_of
 
+WANTED = "sightings, as mo.sightings makes them, or an array (steps, sightings, m)"
 NONE = -1
 """Stands for the landmark of a sighting that is not there."""
 
@@ -138,9 +139,36 @@ class Sightings(Conditional):
     places: jax.Array
 
     def packed(self, ys: Any) -> Any:
-        """Take what `mo.sightings` takes and gives, or arrays `(t, s, m)`."""
-        as_pairs = type(ys) in (list, tuple) and all(step is None or isinstance(step, (dict, list, tuple)) for step in ys)
-        return sightings(ys) if as_pairs else ys
+        """Take what `mo.sightings` takes and gives, arrays `{"landmark": (t, s), "z": (t, s, m)}`, or an array `(t, s, m)`.
+
+        Raises:
+            MotesError: they are none of these, a measurement has another number of components, or there is no landmark of a number.
+        """
+        if type(ys) in (list, tuple) and all(step is None or isinstance(step, (dict, list, tuple)) for step in ys):
+            ys = sightings(ys)
+        value = value_of(ys)
+        named = isinstance(value, dict) and value.keys() == {"landmark", "z"}
+        z = checks.as_numbers("ys", value["z"] if named else value, WANTED) if named or not isinstance(value, dict) else None
+        size = self.sensor.noise.shape[0]
+        if z is None or np.ndim(z) != 3 or z.shape[2] != size:
+            given = f"a {type(value).__name__}" + ("" if z is None else f" of shape {np.shape(z)}")
+            checks.refuse("ys", f"{WANTED}, measurements of {size} components", given)
+        if not named:
+            return value if isinstance(ys, Observed) else z
+        landmark = checks.as_numbers("ys landmark", value["landmark"], "whole numbers")
+        checks.shape("ys landmark", landmark, z.shape[:2], "(as the sightings)")
+        if not jnp.issubdtype(landmark.dtype, jnp.integer):
+            checks.refuse("ys landmark", "whole numbers", str(landmark.dtype))
+        if checks.is_concrete((landmark, z)):
+            there, count = np.asarray(landmark) >= 0, len(self.places)
+            if (np.asarray(landmark) >= count).any():
+                hint = "Say landmarks= that many."
+                checks.refuse("ys landmark", f"numbers of the {count} landmarks, from 0 on", int(np.max(landmark)), hint)
+            if (there == np.isnan(np.asarray(z)).any(axis=2)).any() or (there[:, 1:] & ~there[:, :-1]).any():
+                wanted = "whole measurements where a landmark is named, those that are there first"
+                checks.refuse("ys", wanted, "others", "mo.sightings makes them.")
+            return Observed({"landmark": np.asarray(landmark, np.int32), "z": z}, there.any(axis=1))
+        return ys if isinstance(ys, Observed) else Observed({"landmark": landmark, "z": z}, jnp.any(landmark >= 0, axis=1))
 
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Refuse: a set of sightings is no vector."""

@@ -153,6 +153,6 @@ def laid_on(truth: np.ndarray, path: np.ndarray) -> Callable[[np.ndarray], np.nd
 
     def laid(points: np.ndarray) -> np.ndarray:
         moved = (points @ [1, 1j] - of.mean()) * turn + to.mean()
-        return np.stack([moved.real, moved.imag], axis=-1)
+        return np.stack([np.real(moved), np.imag(moved)], axis=-1)
 
     return laid

@@ -72,7 +72,7 @@ def by_places(graph: Graph, truth: np.ndarray | None = None, places: np.ndarray 
     moved = (graph.steps[1:, 0] + 1j * graph.steps[1:, 1]) * np.exp(1j * heading)
     path = np.concatenate([[0.0], np.cumsum(moved)])
     count = int(graph.seen[:, 1].max()) + 1
-    return Way(sightings(pairs), graph.steps, None, np.stack([path.real, path.imag], axis=1), count, truth, places)
+    return Way(sightings(pairs), graph.steps, None, np.stack([np.real(path), np.imag(path)], axis=1), count, truth, places)
 
 
 def read_graph(path: str | os.PathLike[str]) -> Graph:

@@ -58,7 +58,7 @@ def made_up(seed: int, seconds: float) -> World:
     objects = path.mean(axis=0) + rng.uniform(-0.5, 0.5, (OBJECTS, 2)) * WIDTH
     # a step is taken in the heading before it: what the wheels read ahead and to the left
     ahead = (np.diff(path @ [1, 1j])) * np.exp(-1j * heading[:-1])
-    read = np.stack([ahead.real, ahead.imag, turns], axis=1)
+    read = np.stack([np.real(ahead), np.imag(ahead), turns], axis=1)
     read[:, 0] += SLIP * rng.standard_normal(count)
     # the odometry's own errors are those that the robot has to undo
     read[:, 2] = (read[:, 2] - DRIFT * np.hypot(read[:, 0], read[:, 1])) / (1 + SHARE) + TURN_SD * rng.standard_normal(count)
@@ -69,5 +69,5 @@ def made_up(seed: int, seconds: float) -> World:
     seen = np.where(wrong, FAR * (rng.uniform(-1, 1, len(seen)) + 1j * rng.uniform(-1, 1, len(seen))), seen)
     noise = PLACE_SD * rng.standard_normal((2, len(seen)))
     met, numbers = np.unique(number, return_inverse=True)
-    rows = np.column_stack([pose, numbers, seen.real + noise[0], seen.imag + noise[1]])
+    rows = np.column_stack([pose, numbers, np.real(seen) + noise[0], np.imag(seen) + noise[1]])
     return World(Graph(np.concatenate([np.zeros((1, 3)), read]), rows), path, objects[met])
