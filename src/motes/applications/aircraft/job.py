@@ -48,7 +48,7 @@ def load(settings: Settings, seed: int) -> "AircraftJob":
     radar = Radar(asked.distance, asked.azimuth, asked.detection, asked.false, asked.farthest)
     reports = None if settings.data else flown_reports(seed, settings.duration)
     if reports is None:
-        path = scenario.read_path(settings.data, settings.begin, settings.duration, site)
+        path = scenario.read_path(settings.data, settings.begin, settings.duration, site, settings.aircraft)
     else:
         path = scenario.path_of(*reports, site)
     track = scenario.track(path, seed, settings.plots.steps, radar)
