@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from motes.applications.aircraft.model import turned, white_acceleration
 from motes.applications.target_tracking.settings import Radar
 from motes.core.record import record
-from motes.laws.cluttered import Cluttered
+from motes.laws.cluttered import Cluttered, room_for
 from motes.laws.conditional import AdditiveGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.noise import Uniform
@@ -95,3 +95,16 @@ def jumping(initial: Gaussian, motion: Motion, sensor: Cluttered) -> JumpMarkovM
 
     modes = (mode(0.0, motion.straight), mode(motion.rate, motion.turning), mode(-motion.rate, motion.turning))
     return JumpMarkovModel([1.0, 0.0, 0.0], transition, tuple(StateSpaceModel(initial, each, sensor, STATES) for each in modes))
+
+
+def tracker(mean: Any, cov: Any, radar: Radar, room: int, knows: bool = True) -> JumpMarkovModel:
+    """Build the model of a track that has begun.
+
+    Args:
+        mean: states `(4,)` where it begins.
+        cov: their covariance, `(4, 4)`.
+        radar: its numbers.
+        room: most plots of a scan.
+        knows: see `scanned`.
+    """
+    return jumping(Gaussian(mean, cov), Motion(), scanned(radar, max(room, room_for(radar.false)), knows))
