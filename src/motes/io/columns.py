@@ -21,20 +21,25 @@ class Columns(dict[str, np.ndarray]):
         source: name of the file, for messages.
         word: what `places` count, "line" or "row".
         places: where each row stands in the file, `(rows,)`.
+        numbers: of the rows among all that were read, from 0, `(rows,)`.
     """
 
-    def __init__(self, columns: Mapping[str, np.ndarray], source: str, word: str, places: Sequence[int]):
-        """Keep columns, and where they came from."""
+    def __init__(
+        self, columns: Mapping[str, np.ndarray], source: str, word: str, places: Sequence[int], numbers: Sequence[int] | None = None
+    ):
+        """Keep columns, and where they came from; numbers are those of all rows if not given."""
         super().__init__(columns)
         self.source, self.word, self.places = source, word, places
+        self.numbers = range(len(places)) if numbers is None else numbers
 
     def place(self, row: int) -> str:
         """Return what the row with an index is called in messages, such as "line 7 (row 5)"."""
-        return f"{self.word} {self.places[row]}" + (f" (row {row + 1})" if self.word != "row" else "")
+        return f"{self.word} {self.places[row]}" + (f" (row {self.numbers[row] + 1})" if self.word != "row" else "")
 
     def rows(self, places: np.ndarray) -> "Columns":
         """Return some rows, by their indices `(m,)`."""
-        return Columns({name: column[places] for name, column in self.items()}, self.source, self.word, [self.places[row] for row in places])
+        found = {name: column[places] for name, column in self.items()}
+        return Columns(found, self.source, self.word, *([where[row] for row in places] for where in (self.places, self.numbers)))
 
     def by(self, name: str) -> dict[str, "Columns"]:
         """Return the rows of each label of a column of text, in the order in which they come; all under "" where there is no such column.

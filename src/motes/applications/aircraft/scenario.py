@@ -25,7 +25,6 @@ UNSCORED = 10
 """Plots at the start that are not scored."""
 LOST = 1e3
 """A track is lost when it is further off at a plot, meters."""
-REPORT = ("timestamp", "latitude", "longitude", "groundspeed", "track")
 NAME, SHOWN = "icao24", 12
 """Column that tells aircraft apart, and how many of them a refusal names."""
 LIMITS = ((-1e15, 1e15), (-89.0, 89.0), (-180.0, 360.0), (0.0, 2000.0), (-360.0, 360.0))
@@ -35,6 +34,19 @@ LEAST = 10
 LATEST, MILLI = 1e11, 1e3
 """Times beyond the one, in the year 5138, are milliseconds."""
 EARTH, KNOT = 6371008.8, 1852 / 3600
+
+
+class Reports(NamedTuple):
+    """Reports `(r,)` by column: seconds, degrees, degrees, knots, degrees from north."""
+
+    timestamp: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    groundspeed: np.ndarray
+    track: np.ndarray
+
+
+REPORT = Reports._fields
 
 
 class Path(NamedTuple):
@@ -114,17 +126,17 @@ def read_path(
         checks.refuse("aircraft", f"the {NAME} of one in {os.fspath(file)[-80:]}: {names}", repr(aircraft)[:40] if aircraft else "none",
                       "motes run target_tracking follows all at once." if len(found) > 1 else "")  # fmt: skip
     table = found[aircraft] if aircraft else next(iter(found.values()))
-    reports = _heard(table)
-    if len(reports[0]) < LEAST:
+    heard = _heard(table)
+    if len(heard.timestamp) < LEAST:
         checks.refuse(table.source, f"at least {LEAST} reports of position and velocity",
-                      f"{len(reports[0])} of {len(table.places)} rows", error=checks.FileError)  # fmt: skip
-    since = reports[0] - reports[0][0]
-    reports = _part([since, *reports[1:]], start, duration)
-    if len(reports[0]) < LEAST:
+                      f"{len(heard.timestamp)} of {len(table.places)} rows", error=checks.FileError)  # fmt: skip
+    reports = _part(heard, heard.timestamp[0], start, duration)
+    if len(reports.timestamp) < LEAST:
+        seconds = heard.timestamp[-1] - heard.timestamp[0]
         checks.refuse(table.source, f"at least {LEAST} positions from second {start:g} to {start + duration:g}",
-                      f"{len(reports[0])} in a recording of {since[-1]:.0f} s", "Set start and duration.", checks.FileError)  # fmt: skip
-    time, *rest = reports
-    return path_of(time, *rest, radar)
+                      f"{len(reports.timestamp)} in a recording of {seconds:.0f} s", "Set start and duration.",
+                      checks.FileError)  # fmt: skip
+    return path_of(reports, radar)
 
 
 def read_paths(
@@ -141,14 +153,15 @@ def read_paths(
     """
     _check_part(start, duration, radar)
     heard = {name: _heard(table) for name, table in read_table(file, REPORT, (NAME,)).by(NAME).items()}
-    first = min((reports[0][0] for reports in heard.values() if len(reports[0])), default=0.0)
-    parts = {name: _part([time - first, *rest], start, duration) for name, (time, *rest) in heard.items()}
-    parts = {name: reports for name, reports in parts.items() if len(reports[0]) >= LEAST}
+    first = min((reports.timestamp[0] for reports in heard.values() if reports.timestamp.size), default=0.0)
+    parts = {name: _part(reports, first, start, duration) for name, reports in heard.items()}
+    parts = {name: reports for name, reports in parts.items() if reports.timestamp.size >= LEAST}
     if not parts:
         checks.refuse(os.fspath(file)[-160:], f"an aircraft with {LEAST} positions from second {start:g} to {start + duration:g}",
                       f"{len(heard)} with fewer", "Set start and duration.", checks.FileError)  # fmt: skip
-    middle = tuple(float(np.median(np.concatenate([reports[place] for reports in parts.values()]))) for place in (1, 2))
-    return {name: path_of(*reports, radar, middle)._replace(times=reports[0] - start) for name, reports in parts.items()}
+    everywhere = [np.concatenate(column) for column in zip(*parts.values(), strict=True)]
+    middle = _middle(Reports(*everywhere))
+    return {name: path_of(reports, radar, middle)._replace(times=reports.timestamp - start) for name, reports in parts.items()}
 
 
 def _check_part(start: float, duration: float, radar: tuple[float, float]) -> None:
@@ -157,22 +170,16 @@ def _check_part(start: float, duration: float, radar: tuple[float, float]) -> No
     checks.above_zero("duration", duration)
 
 
-def path_of(
-    time: np.ndarray, latitude: np.ndarray, longitude: np.ndarray, speed: np.ndarray, track: np.ndarray, radar: tuple[float, float] = RADAR,
-    middle: tuple[float, ...] = (),
-) -> Path:  # fmt: skip
+def path_of(reports: Reports, radar: tuple[float, float] = RADAR, middle: tuple[float, float] | None = None) -> Path:
     """Lay reports out on a plane and smooth them; see `read_path`.
 
     Args:
-        time: seconds, `(r,)`, as all of the reports.
-        latitude: degrees.
-        longitude: degrees.
-        speed: over ground, knots.
-        track: degrees from north, clockwise.
+        reports: those of one flight, in order of time.
         radar: east and north of the radar from the middle, meters.
-        middle: latitude and longitude of the middle of the plane; the medians if not given.
+        middle: latitude and longitude of the middle of the plane, degrees; that of the flight if None.
     """
-    middle = middle or (float(np.median(latitude)), float(np.median(longitude)))
+    time, latitude, longitude, speed, track = reports
+    middle = middle or _middle(reports)
     shrink = np.cos(np.radians(middle[0]))
     east = EARTH * shrink * np.radians(wrapped_degrees(longitude - middle[1])) - radar[0]
     north = EARTH * np.radians(latitude - middle[0]) - radar[1]
@@ -182,13 +189,17 @@ def path_of(
     return Path(time - time[0], np.stack([axes[0][:, 0], axes[1][:, 0], axes[0][:, 1], axes[1][:, 1]], axis=1))
 
 
+def _middle(reports: Reports) -> tuple[float, float]:
+    return float(np.median(reports.latitude)), float(np.median(reports.longitude))
+
+
 def wrapped_degrees(angle: np.ndarray) -> np.ndarray:
     """Return angles from -180 to 180 degrees, so that a flight may cross the date line."""
     return (angle + 180) % 360 - 180
 
 
-def _heard(table: Columns) -> list[np.ndarray]:
-    """Return time (seconds), latitude, longitude, speed and track of the reports that count."""
+def _heard(table: Columns) -> Reports:
+    """Return the reports that count, their times in seconds."""
     time, latitude, longitude, speed, track = (table[name] for name in REPORT)
     silent = (np.isnan(latitude) & np.isnan(longitude)) | (np.isnan(speed) & np.isnan(track))
     for name, (low, high) in zip(REPORT, LIMITS, strict=True):
@@ -205,15 +216,15 @@ def _heard(table: Columns) -> list[np.ndarray]:
         row = heard[int(np.argmax(back)) + 1]
         checks.refuse(f"{table.source}: column 'timestamp'", "times that never decrease", f"an earlier one in {table.place(row)}",
                       "Sort the rows by time.", checks.FileError)  # fmt: skip
-    return [seconds, *(column[heard] for column in (latitude, longitude, speed, track))]
+    return Reports(seconds, *(column[heard] for column in (latitude, longitude, speed, track)))
 
 
-def _part(reports: list[np.ndarray], start: float, duration: float) -> list[np.ndarray]:
-    """Return the reports of a part, without those that repeat a position."""
-    seconds, latitude, longitude = reports[:3]
+def _part(reports: Reports, first: float, start: float, duration: float) -> Reports:
+    """Return the reports of a part, their times since the first report, without those that repeat a position."""
+    seconds = reports.timestamp - first
     kept = (seconds >= start) & (seconds <= start + duration)
-    kept[1:] &= (np.diff(latitude) != 0) | (np.diff(longitude) != 0)
-    return [column[kept] for column in reports]
+    kept[1:] &= (np.diff(reports.latitude) != 0) | (np.diff(reports.longitude) != 0)
+    return Reports(*(column[kept] for column in reports._replace(timestamp=seconds)))
 
 
 def smoothed(times: np.ndarray, position: np.ndarray, speed: np.ndarray) -> np.ndarray:

@@ -46,7 +46,8 @@ def load(settings: Settings, seed: int) -> RadarJob:
     if settings.targets != 1 or len(names) > 1:
         return SeveralJob(
             model=tracker(*INBOUND, radar, room), ys=plots(scans), inputs={"dt": jnp.asarray(np.diff(times, prepend=times[0]), float)},
-            truth=truth, targets=names, times=times - times[0], filters={"jump_markov": JumpMarkovFilter(n=5)}, **common,
+            truth=truth, targets=names, start=float(times[0]), times=times - times[0],
+            filters={"jump_markov": JumpMarkovFilter(n=5)}, **common,
         )  # fmt: skip
     begin = begun(times, scans, radar)
     if begin.scan == len(scans) - 1:

@@ -104,7 +104,7 @@ def flown_by(recording: str, settings: Settings, seed: int) -> World:
     paths = scenario.read_paths(recording, settings.begin, float(times[-1]) + settings.period, (settings.site.east, settings.site.north))
     states = np.stack([_at(times, path.times, path.states) for path in paths.values()], axis=1)
     states[np.hypot(states[..., 0], states[..., 1]) > settings.radar.farthest] = np.nan
-    near = ~np.isnan(states).all(axis=(0, 2))
+    near = np.asarray(~np.isnan(states).all(axis=(0, 2)))
     if not near.any():
         checks.refuse("site", f"a place within {settings.radar.farthest:g} m of a flight", f"{len(paths)} flights further off",
                       "Set site.east, site.north or radar.farthest.")  # fmt: skip

@@ -43,9 +43,11 @@ class SeveralJob(RadarJob):
 
     Attributes:
         targets: their names; `truth` is `(t, n, 4)`, NaN where one is not there. Both are empty where nothing is known.
+        start: time of the first scan in the user's file, s; `times` are those since.
     """
 
     targets: tuple[str, ...]
+    start: float
 
     def pieces(self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int) -> Iterator[History]:
         """Follow all targets, each track by the filter; one piece, since tracks are numbered at the end."""
@@ -70,19 +72,20 @@ class SeveralJob(RadarJob):
         found = followers(places, truth, LOST)
         own = np.take_along_axis(places, np.maximum(found, 0)[..., None], axis=1) if places.shape[1] else np.full(truth.shape, np.nan)
         off = np.where(found >= 0, np.hypot(*np.moveaxis(own - truth, -1, 0)), np.nan)
-        return Judged(~np.isnan(truth).any(axis=-1), found, off)
+        return Judged(np.asarray(~np.isnan(truth).any(axis=-1)), found, off)
 
     def scores(self, history: History) -> tuple[Score, ...]:
         """Judge the tracks by the truth."""
-        count = Score("tracks", history.kept["confirmed"].shape[1], digits=0)
+        count = history.kept["confirmed"].shape[1]
+        tracks = Score("tracks", count, digits=0)
         if self.truth is None:
-            return (count,)
+            return (tracks,)
         judged, truth = self.judged(history), np.asarray(self.truth)[..., :2]
         apart = [gospa(own[~np.isnan(own).any(axis=1)], true[there], LOST).distance
                  for own, true, there in zip(self.places(history), truth, judged.there, strict=True)]  # fmt: skip
-        false = count.value - len(set(judged.followers.ravel().tolist()) - {-1})
+        false = count - len(set(judged.followers.ravel().tolist()) - {-1})
         return (Score("GOSPA", float(np.mean(apart)), "m", 0), Score("position", _rms(judged.off), "m", 0),
-                Score("tracked", _percent(judged.followers >= 0, judged.there), "%", 0), count, Score("false tracks", false, digits=0),
+                Score("tracked", _percent(judged.followers >= 0, judged.there), "%", 0), tracks, Score("false tracks", false, digits=0),
                 Score("swaps", int(changes(judged.followers).sum()), digits=0))  # fmt: skip
 
     def by_target(self, history: History) -> Table:
@@ -101,9 +104,9 @@ class SeveralJob(RadarJob):
         return "" if self.truth is None or not self.targets else str(self.by_target(history))
 
     def tables(self, history: History) -> dict[str, Table]:
-        """Return all tracks, scan by scan since they were confirmed; and what is told of each target."""
+        """Return all tracks, scan by scan since they were confirmed, at the times of the file; and what is told of each target."""
         steps, tracks = np.nonzero(history.kept["confirmed"])
-        rows = zip(self.times[steps].tolist(), (tracks + 1).tolist(), history.kept["states"][steps, tracks].tolist(),
+        rows = zip((self.start + self.times[steps]).tolist(), (tracks + 1).tolist(), history.kept["states"][steps, tracks].tolist(),
                    history.kept["exists"][steps, tracks].tolist(), strict=True)  # fmt: skip
         found = {"tracks": Table(TRACK, tuple((time, track, *states, exists) for time, track, states, exists in rows))}
         return found if self.truth is None else found | {"targets": self.by_target(history)}

@@ -92,7 +92,7 @@ def follow(seed: int, filter: Filter, model_of: Callable[[Any, Any], Model], sen
     """
     follower = _Follower(seed, filter, model_of, sensor, jax.tree.map(lambda leaf: leaf[0], ys))
     tracks, left, begun, rows, infos = follower.none(), [], 0, [], []
-    for scan, (time, dt) in enumerate(zip(times, np.diff(times, prepend=times[0]), strict=True)):
+    for scan, dt in enumerate(np.diff(times, prepend=times[0])):
         plots = ys.value[scan]
         tracks, info = follower.advanced(tracks, jax.tree.map(lambda leaf, scan=scan: leaf[scan], ys), dt)
         tracks = confirmed(merged(ended(tracks)))
@@ -211,5 +211,5 @@ def _history(filter: Filter, rows: list[Any], infos: list[Info], tracks: Tracks,
     info = jax.tree.map(lambda *leaves: jnp.stack(leaves), *infos)
     zero = jnp.zeros((), info.log_evidence.dtype)
     last = Carry(tracks.carries.state, RunningSum.zero(zero.dtype), zero, y, None, jnp.int32(len(rows) - 1))
-    traits = filter.traits | {"has_evidence": False}
+    traits: dict[str, Any] = filter.traits | {"has_evidence": False}
     return History(kept, info, last, jnp.int32(0), ("east", "north", "v_east", "v_north"), repr(filter), **traits, times=np.asarray(times))
