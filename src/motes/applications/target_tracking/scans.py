@@ -72,7 +72,7 @@ def read_truth(file: str, times: np.ndarray) -> tuple[tuple[str, ...], np.ndarra
     found = {}
     for name, table in read_table(file, STATE, (TARGET,)).by(TARGET).items():
         start, seconds = table.times("time", repeats=False)
-        found[name] = _at(times - start, seconds, np.stack([table[column] for column in STATE[1:]], axis=1))
+        found[name] = _interpolated(times - start, seconds, np.stack([table[column] for column in STATE[1:]], axis=1))
     return tuple(found), np.stack(list(found.values()), axis=1)
 
 
@@ -102,7 +102,7 @@ def flown_by(recording: str, settings: Settings, seed: int) -> World:
     checks.positive_integer("scans", settings.scans)
     times = settings.period * np.arange(min(settings.scans, LONGEST))
     paths = scenario.read_paths(recording, settings.begin, float(times[-1]) + settings.period, (settings.site.east, settings.site.north))
-    states = np.stack([_at(times, path.times, path.states) for path in paths.values()], axis=1)
+    states = np.stack([_interpolated(times, path.times, path.states) for path in paths.values()], axis=1)
     states[np.hypot(states[..., 0], states[..., 1]) > settings.radar.farthest] = np.nan
     near = np.asarray(~np.isnan(states).all(axis=(0, 2)))
     if not near.any():
@@ -112,7 +112,7 @@ def flown_by(recording: str, settings: Settings, seed: int) -> World:
     return World(times, names, states[:, near], seen(np.random.default_rng(seed), states[:, near], settings.radar))
 
 
-def _at(times: np.ndarray, known: np.ndarray, states: np.ndarray) -> np.ndarray:
+def _interpolated(times: np.ndarray, known: np.ndarray, states: np.ndarray) -> np.ndarray:
     """States `(t, 4)` at some times, between those known, `(k, 4)`; NaN beyond them."""
     return np.stack([np.interp(times, known, column, np.nan, np.nan) for column in states.T], axis=1)
 

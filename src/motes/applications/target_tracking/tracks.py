@@ -1,4 +1,4 @@
-"""Tracks of targets whose number is not known and changes, each with the probability that its target exists (Musicki, Evans, Stanev 1994).
+"""Tracks of targets whose number is not known and changes, each with the probability that its target exists (Musicki, Evans, Stankovic 1994).
 
 Scan by scan, for all tracks at once:
 
