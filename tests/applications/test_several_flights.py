@@ -5,6 +5,7 @@ import itertools
 import json
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -53,17 +54,22 @@ def by_enumeration(scans, variance):
     return found
 
 
+class Still:
+    """Makes the model of a target that stands still."""
+
+    sensor = mo.Cluttered(mo.LinearGaussian(jnp.eye(2, 4), jnp.eye(2)), DETECTION, clutter=CLUTTER, plots=3)
+
+    def __call__(self, mean, cov):
+        still = mo.LinearGaussian(jnp.eye(4), 1e-12 * jnp.eye(4))
+        return mo.StateSpaceModel(mo.Gaussian(mean, cov), still, self.sensor, ("e", "n", "ve", "vn"))
+
+
 @pytest.mark.parametrize(("spread", "scans"), [(0.0, SCANS), (1.5, SCANS[:1])])
 def test_existence_is_exact_where_the_filter_is(double, spread, scans):
     """Of a target that stands still at a known place; of one at an unknown place at the first scan, before plots are mixed."""
-    def model_of(mean, cov):
-        still = mo.LinearGaussian(jnp.eye(4), 1e-12 * jnp.eye(4))
-        return mo.StateSpaceModel(mo.Gaussian(mean, cov), still, sensor, ("e", "n", "ve", "vn"))
-
-    sensor = mo.Cluttered(mo.LinearGaussian(jnp.eye(2, 4), jnp.eye(2)), DETECTION, clutter=CLUTTER, plots=3)
-    ys = sensor.packed(mo.plots([np.reshape(scan, (-1, 2)) for scan in scans]))
+    ys = Still.sensor.packed(mo.plots([np.reshape(scan, (-1, 2)) for scan in scans]))
     steps = [Observed(jnp.asarray(value), jnp.asarray(there)) for value, there in zip(ys.value, ys.there, strict=True)]
-    follower = managed._Follower(0, mo.ExtendedKalmanFilter(), model_of, sensor, steps[0])
+    follower = managed.Follower(jax.random.key(0), mo.ExtendedKalmanFilter(), Still(), steps[0])
     tracks = follower.begun(follower.none(), Beginning(0, np.zeros(4), (spread**2 + 1e-12) * np.eye(4)), 0)
     found = []
     for y in steps:
@@ -145,7 +151,7 @@ def job_of(folder, states, names, seed=1):
 
 
 def ran(job):
-    ys = job.model.models[0].sensor.packed(job.ys)
+    ys = job.tracker.sensor.packed(job.ys)
     return next(iter(job.pieces(0, job.filters["jump_markov"], ys, job.inputs, job.keep, 5)))
 
 
@@ -190,6 +196,17 @@ def test_the_crossing_is_one(run_of_four):
     assert [row[6] for row in job.by_target(history).rows] == [0, 0, 0, 0]
 
 
+def test_a_target_that_gives_two_plots_keeps_one_track(tmp_path):
+    """Two tracks begin, since each has a plot, and are found to be one."""
+    states, generator = FLIGHTS["crosses"][:30, None], np.random.default_rng(0)
+    both = [seen(generator, states, Radar(false=1e-6, detection=0.99)) for _ in range(2)]
+    scans = [np.concatenate(pair) for pair in zip(*both, strict=True)]
+    reading.written_scans(tmp_path / "plots.csv", PERIOD * np.arange(30), scans)
+    history = ran(load(Settings(data=str(tmp_path / "plots.csv"), targets=0), 0))
+    counts = (history.kept["exists"] > 0).sum(axis=1)
+    assert counts.shape == (30,) and (counts[2:] == 1).all()
+
+
 def test_tracks_are_written_and_drawn(run_of_four, tmp_path):
     job, history = run_of_four
     tables = job.tables(history)
@@ -208,9 +225,9 @@ def test_tracks_are_written_and_drawn(run_of_four, tmp_path):
 
 def test_room_doubles_when_it_is_full(run_of_four):
     job, _ = run_of_four
-    ys = job.model.models[0].sensor.packed(job.ys)
+    ys = job.tracker.sensor.packed(job.ys)
     y = Observed(jnp.asarray(ys.value[0]), jnp.asarray(ys.there[0]))
-    follower = managed._Follower(0, mo.InteractingMultipleModel(), lambda mean, cov: job.model, job.model.models[0].sensor, y)
+    follower = managed.Follower(jax.random.key(0), mo.InteractingMultipleModel(), job.tracker, y)
     tracks = follower.none()
     for number in range(managed.SLOTS + 1):
         tracks = follower.begun(tracks, Beginning(0, np.full(4, float(number)), np.eye(4)), number)

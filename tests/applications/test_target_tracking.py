@@ -15,7 +15,7 @@ from data import refused
 from motes.applications.target_tracking import scans as reading
 from motes.applications.target_tracking.beginning import begun
 from motes.applications.target_tracking.job import load
-from motes.applications.target_tracking.model import tracker
+from motes.applications.target_tracking.model import Tracker
 from motes.applications.target_tracking.settings import Radar, Settings
 from motes.applications.target_tracking.shared import LOST
 from motes.applications.target_tracking.world import SPEED, made_up
@@ -49,7 +49,7 @@ def tracked(flights, knows, n=2_000):
     begins = [begun(world.times, world.scans, RADAR) for world in flights]
     last = max(begin.scan for begin in begins)
     steps = SCANS - last
-    model = tracker(begins[0].mean, begins[0].cov, RADAR, ROOM, knows).as_state_space()
+    model = Tracker(RADAR, ROOM, knows)(begins[0].mean, begins[0].cov).as_state_space()
     packed = []
     for world, begin in zip(flights, begins, strict=True):
         found = model.sensor.parts[0].packed(mo.plots([None, *world.scans[begin.scan + 1 : begin.scan + steps]]))
@@ -58,7 +58,7 @@ def tracked(flights, knows, n=2_000):
 
     def one(row):
         key, value, there, mean, cov = row
-        model = tracker(mean, cov, RADAR, ROOM, knows).as_state_space()
+        model = Tracker(RADAR, ROOM, knows)(mean, cov).as_state_space()
         filter = mo.ParticleFilter(n=n, on_collapse="predict")
         return mo.run(key, filter, model, Observed(value, there), {"dt": dt}, keep=mo.keep.means).mean[:, :2]
 

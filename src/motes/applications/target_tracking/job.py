@@ -5,7 +5,7 @@ import numpy as np
 
 from motes.applications.target_tracking import scans as reading
 from motes.applications.target_tracking.beginning import begun
-from motes.applications.target_tracking.model import tracker
+from motes.applications.target_tracking.model import Tracker
 from motes.applications.target_tracking.one import TrackingJob, with_cloud
 from motes.applications.target_tracking.settings import Settings
 from motes.applications.target_tracking.several import SeveralJob
@@ -14,6 +14,7 @@ from motes.applications.target_tracking.world import World, made_up
 from motes.core import checks
 from motes.filters.jump_markov import JumpMarkovFilter
 from motes.filters.particle import ParticleFilter
+from motes.laws.cluttered import room_for
 from motes.laws.scans import plots
 
 INBOUND = np.array([34e3, 0.0, -200.0, 0.0]), np.diag([300.0, 300.0, 30.0, 30.0]) ** 2
@@ -41,19 +42,19 @@ def load(settings: Settings, seed: int) -> RadarJob:
     else:
         times, scans = reading.read_scans(settings.data, settings.period)
         names, truth = reading.read_truth(settings.truth, times) if settings.truth else ((), None)
-    room = max(len(scan) for scan in scans) + 1
+    room = max(*(len(scan) + 1 for scan in scans), room_for(radar.false))
     common = {"radar": radar, "world": world, "seed": seed, "counted": ("east", "north")}
     if settings.targets != 1 or len(names) > 1:
         return SeveralJob(
-            model=tracker(*INBOUND, radar, room), ys=plots(scans), inputs={"dt": jnp.asarray(np.diff(times, prepend=times[0]), float)},
-            truth=truth, targets=names, start=float(times[0]), times=times - times[0],
-            filters={"jump_markov": JumpMarkovFilter(n=5)}, **common,
+            model=Tracker(radar, room)(*INBOUND), tracker=Tracker(radar, room),
+            ys=plots(scans), inputs={"dt": jnp.asarray(np.diff(times, prepend=times[0]), float)}, truth=truth,
+            targets=names, start=float(times[0]), times=times - times[0], filters={"jump_markov": JumpMarkovFilter(n=5)}, **common,
         )  # fmt: skip
     begin = begun(times, scans, radar)
     if begin.scan == len(scans) - 1:
         checks.refuse("data", "scans after those with which a track begins", f"none after {len(scans)}")
     left = slice(begin.scan, None)
-    model, unaware = (tracker(begin.mean, begin.cov, radar, room, knows).as_state_space() for knows in (True, False))
+    model, unaware = (Tracker(radar, room, knows)(begin.mean, begin.cov).as_state_space() for knows in (True, False))
     dt = np.diff(times[left], prepend=times[begin.scan])
     # the plots that the track begins with are in its first law
     return TrackingJob(

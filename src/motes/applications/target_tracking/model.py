@@ -6,6 +6,7 @@ echoes of the ground out keeps out all that closes or opens as slowly as the gro
 the range rate (Ristic, Arulampalam, Gordon 2004), and a scan without a plot speaks for an aircraft in that notch.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 from motes.applications.aircraft.model import turned, white_acceleration
 from motes.applications.target_tracking.settings import Radar
 from motes.core.record import record
-from motes.laws.cluttered import Cluttered, room_for
+from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.noise import Uniform
@@ -97,14 +98,25 @@ def jumping(initial: Gaussian, motion: Motion, sensor: Cluttered) -> JumpMarkovM
     return JumpMarkovModel([1.0, 0.0, 0.0], transition, tuple(StateSpaceModel(initial, each, sensor, STATES) for each in modes))
 
 
-def tracker(mean: Any, cov: Any, radar: Radar, room: int, knows: bool = True) -> JumpMarkovModel:
-    """Build the model of a track that has begun.
+@dataclass(frozen=True)
+class Tracker:
+    """Makes the model of a track.
 
-    Args:
-        mean: states `(4,)` where it begins.
-        cov: their covariance, `(4, 4)`.
+    Attributes:
         radar: its numbers.
-        room: most plots of a scan.
+        room: most plots of a scan, at least so many as the false ones need (`room_for`).
         knows: see `scanned`.
     """
-    return jumping(Gaussian(mean, cov), Motion(), scanned(radar, max(room, room_for(radar.false)), knows))
+
+    radar: Radar
+    room: int
+    knows: bool = True
+
+    @property
+    def sensor(self) -> Cluttered:
+        """That of scans."""
+        return scanned(self.radar, self.room, self.knows)
+
+    def __call__(self, mean: Any, cov: Any) -> JumpMarkovModel:
+        """Return the model of a track that begins with mean `(4,)` and covariance `(4, 4)` of its states."""
+        return jumping(Gaussian(mean, cov), Motion(), self.sensor)

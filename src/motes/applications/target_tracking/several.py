@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from motes.applications.interface import Score
-from motes.applications.target_tracking.model import tracker
+from motes.applications.target_tracking.model import Tracker
 from motes.applications.target_tracking.shared import LOST, RadarJob
 from motes.applications.target_tracking.tracks import follow
 from motes.core import checks
@@ -42,10 +41,12 @@ class SeveralJob(RadarJob):
     """Targets that come and go.
 
     Attributes:
+        tracker: makes the model of each track.
         targets: their names; `truth` is `(t, n, 4)`, NaN where one is not there. Both are empty where nothing is known.
         start: time of the first scan in the user's file, s; `times` are those since.
     """
 
+    tracker: Tracker
     targets: tuple[str, ...]
     start: float
 
@@ -53,10 +54,8 @@ class SeveralJob(RadarJob):
         """Follow all targets, each track by the filter; one piece, since tracks are numbered at the end."""
         if keep is not self.keep:
             checks.refuse("smoother", "none where several targets are followed", "one")
-        model_of = partial(tracker, radar=self.radar, room=ys.value.shape[1])
         # a track that explains no scan ends by its existence
-        filter = replace(filter, on_collapse="predict")
-        yield follow(seed, filter, model_of, self.model.models[0].sensor, self.times, ys, self.radar)  # type: ignore[attr-defined]
+        yield follow(seed, replace(filter, on_collapse="predict"), self.tracker, self.times, ys, self.radar)
 
     def title(self, steps: int) -> str:
         """Return how many scans and targets there were."""

@@ -1,4 +1,4 @@
-"""Tracks of targets whose number is not known and changes, each with the probability that its target exists (Musicki, Evans, Stankovic 1994).
+"""Tracks of targets whose number is not known and changes, each with a probability of existence (Musicki, Evans, Stankovic 1994).
 
 Scan by scan, for all tracks at once:
 
@@ -11,7 +11,7 @@ What a radar does not see in its notch speaks for no target nor against: there L
 track, so that targets that fly together within the accuracy of the radar for long may end as one track.
 """
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -27,9 +27,7 @@ from motes.filters.history import Carry, History
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.setup import setup
-from motes.laws.cluttered import Cluttered
 from motes.laws.observed import Observed
-from motes.models.interface import Model
 
 BEGINS, CONFIRMED, ENDS = 0.2, 0.99, 0.01
 """Existence of a track that begins, above which it is confirmed for good, and below which it ends."""
@@ -72,15 +70,14 @@ def existence(before: Any, log_ratio: Any) -> jax.Array:
     return jax.nn.sigmoid(jax.scipy.special.logit(before) + log_ratio)
 
 
-def follow(seed: int, filter: Filter, model_of: Callable[[Any, Any], Model], sensor: Cluttered, times: np.ndarray, ys: Observed,
-           radar: Radar) -> History:  # fmt: skip
+def follow(seed: int, filter: Filter, tracker: Any, times: np.ndarray, ys: Observed, radar: Radar) -> History:
     """Follow all targets through some scans.
 
     Args:
         seed: of the filters.
         filter: of each track.
-        model_of: model of a track by mean and covariance where it begins; its inputs are the durations of the steps, `{"dt": ...}`.
-        sensor: of scans, that of the model.
+        tracker: gives the model of a track by mean and covariance where it begins, whose inputs are the durations of the steps,
+            `{"dt": ...}`; has the `sensor` of scans in that model. Equal ones share compiled code.
         times: of the scans, s, `(t,)`.
         ys: the scans, `(t, K, 3)`.
         radar: its accuracy.
@@ -90,7 +87,7 @@ def follow(seed: int, filter: Filter, model_of: Callable[[Any, Any], Model], sen
         and existence is 0 where a track is not there. `info` tells of all tracks together: the largest numbers, the smallest effective
         size.
     """
-    follower = _Follower(seed, filter, model_of, sensor, jax.tree.map(lambda leaf: leaf[0], ys))
+    follower = Follower(random.as_key(seed), filter, tracker, jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), ys))
     tracks, left, begun, rows, infos = follower.none(), [], 0, [], []
     for scan, dt in enumerate(np.diff(times, prepend=times[0])):
         plots = ys.value[scan]
@@ -135,43 +132,32 @@ def unexplained(tracks: Tracks, plots: np.ndarray, radar: Radar) -> np.ndarray:
     return plots[free]
 
 
-class _Follower:
-    """What filters all tracks: compiled once for each number of slots."""
+class Follower(NamedTuple):
+    """What filters all tracks; compiled once for each number of slots.
 
-    def __init__(self, seed: int, filter: Filter, model_of: Callable[[Any, Any], Model], sensor: Cluttered, y: Observed):
-        key, nobody = random.as_key(seed), (jnp.zeros(STATES), jnp.eye(STATES))
+    Attributes:
+        key: of the run.
+        filter: of each track.
+        tracker: see `follow`.
+        y: a scan; only shapes and types matter.
+    """
 
-        def start(y: Observed, u: Any, number: jax.Array, mean: jax.Array, cov: jax.Array) -> Carry:
-            return setup(random.step_key(key, number), filter, model_of(mean, cov), u, y).start(u, y)
-
-        def begin(carries: Carry, slot: jax.Array, *track: Any) -> Carry:
-            return jax.tree.map(lambda every, one: every.at[slot].set(one), carries, start(*track))
-
-        def advance(carries: Carry, numbers: jax.Array, exists: jax.Array, y: Observed, u: Any) -> tuple[Any, ...]:
-            ready, stays = setup(key, filter, model_of(*nobody), u, y), jnp.exp(-u["dt"] / STAYS)
-
-            def one(carry: Carry, number: jax.Array, exists: jax.Array) -> tuple[Any, ...]:
-                after, info = replace(ready, key=random.step_key(key, number)).step(carry, y, u)
-                ratio = jnp.where(y.there, info.log_evidence - sensor.all_false(y.value)[0], 0)
-                mean, cov = after.state.mean()[:STATES], after.state.cov()[:STATES, :STATES]
-                return after, existence(stays * exists, ratio), mean, cov, info
-
-            after, exists, mean, cov, info = jax.vmap(one)(carries, numbers, exists)
-            return after, exists, mean, cov, _together(info, numbers >= 0)
-
-        self._y, self._nobody = y, nobody
-        self._start, self._begin, self._advance = jax.jit(start), jax.jit(begin), jax.jit(advance)
+    key: jax.Array
+    filter: Filter
+    tracker: Any
+    y: Observed
 
     def none(self) -> Tracks:
         """Return slots all of which are free."""
-        carry = self._start(self._y, {"dt": 0.0}, 0, *self._nobody)
-        carries = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (SLOTS, *leaf.shape)), carry)
-        mean, cov = (np.broadcast_to(leaf, (SLOTS, *leaf.shape)) for leaf in self._nobody)
-        return Tracks(np.full(SLOTS, -1), np.zeros(SLOTS, bool), carries, np.zeros(SLOTS), mean, cov)
+        mean, cov = jnp.zeros(STATES), jnp.eye(STATES)
+        carry = _started(self.key, self.filter, self.tracker, self.y, 0, mean, cov)
+        carries, mean, cov = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (SLOTS, *leaf.shape)), (carry, mean, cov))
+        return Tracks(np.full(SLOTS, -1), np.zeros(SLOTS, bool), carries, np.zeros(SLOTS), np.asarray(mean), np.asarray(cov))
 
     def advanced(self, tracks: Tracks, y: Observed, dt: float) -> tuple[Tracks, Info]:
         """Filter a scan."""
-        carries, *found, info = self._advance(tracks.carries, tracks.number, tracks.exists, y, {"dt": dt})
+        slots = tracks.carries, tracks.number, tracks.exists
+        carries, *found, info = _advanced(self.key, self.filter, self.tracker, slots, y, {"dt": dt})
         exists, mean, cov = (np.array(leaf, np.float64) for leaf in found)
         return tracks._replace(carries=carries, exists=exists, mean=mean, cov=cov), info
 
@@ -181,12 +167,44 @@ class _Follower:
             more = tracks._replace(number=np.full_like(tracks.number, -1), confirmed=np.zeros_like(tracks.confirmed))
             tracks = jax.tree.map(lambda *parts: (jnp if isinstance(parts[0], jax.Array) else np).concatenate(parts), tracks, more)
         slot = int(np.argmin(tracks.number))
-        carries = self._begin(tracks.carries, slot, self._y, {"dt": 0.0}, number, begin.mean, begin.cov)
+        carries = _put(tracks.carries, slot, self.key, self.filter, self.tracker, self.y, number, begin.mean, begin.cov)
         filled = {"number": number, "exists": BEGINS, "mean": begin.mean, "cov": begin.cov}
         for name, value in filled.items():
             filled[name] = np.array(getattr(tracks, name))
             filled[name][slot] = value
         return tracks._replace(carries=carries, **filled)
+
+
+@partial(jax.jit, static_argnums=2)
+def _started(key: jax.Array, filter: Filter, tracker: Any, y: Observed, number: Any, mean: Any, cov: Any) -> Carry:
+    """What the filter of a track hands to its first step."""
+    u = {"dt": jnp.zeros(())}
+    return setup(random.step_key(key, number), filter, tracker(mean, cov), u, y).start(u, y)
+
+
+@partial(jax.jit, static_argnums=4)
+def _put(carries: Carry, slot: Any, key: jax.Array, filter: Filter, tracker: Any, *track: Any) -> Carry:
+    return jax.tree.map(lambda every, one: every.at[slot].set(one), carries, _started(key, filter, tracker, *track))
+
+
+@partial(jax.jit, static_argnums=2)
+def _advanced(key: jax.Array, filter: Filter, tracker: Any, slots: Any, y: Observed, u: Any) -> tuple[Any, ...]:
+    """Filter a scan; of slots what is handed on, number and existence are given.
+
+    Returns:
+        What is handed on, existence, mean and covariance of each slot, and the record of all together.
+    """
+    carries, numbers, exists = slots
+    ready, stays = setup(key, filter, tracker(jnp.zeros(STATES), jnp.eye(STATES)), u, y), jnp.exp(-u["dt"] / STAYS)
+
+    def one(carry: Carry, number: jax.Array, exists: jax.Array) -> tuple[Any, ...]:
+        after, info = replace(ready, key=random.step_key(key, number)).step(carry, y, u)
+        ratio = jnp.where(y.there, info.log_evidence - tracker.sensor.all_false(y.value)[0], 0)
+        mean, cov = after.state.mean()[:STATES], after.state.cov()[:STATES, :STATES]
+        return after, existence(stays * exists, ratio), mean, cov, info
+
+    after, exists, mean, cov, info = jax.vmap(one)(carries, numbers, exists)
+    return after, exists, mean, cov, _together(info, numbers >= 0)
 
 
 def _together(info: Info, living: jax.Array) -> Info:
