@@ -19,7 +19,7 @@ from motes.filters.keep import Keep
 from motes.io.result_table import Table
 
 TRACK = ("time", "track", "east", "north", "v_east", "v_north", "exists")
-TARGET = ("target", "from, s", "to, s", "confirmed after, s", "tracked, %", "rms position, m", "swaps")
+TARGET = ("target", "from, s", "to, s", "confirmed after, s", "tracked, %", "rms, m", "swaps")
 
 
 class Judged(NamedTuple):

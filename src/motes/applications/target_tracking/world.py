@@ -121,5 +121,5 @@ def seen(generator: np.random.Generator, states: np.ndarray, radar: Radar) -> li
     for plots, there in zip(own, heard, strict=True):
         count = generator.poisson(radar.false)
         false = generator.uniform([0, -np.pi, -radar.fastest], [radar.farthest, np.pi, radar.fastest], (count, 3))
-        found.append(generator.permutation(np.concatenate([plots[there], false])) if there.any() else false)
+        found.append(generator.permutation(np.concatenate([plots[there], false])))
     return found
