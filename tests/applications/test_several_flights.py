@@ -305,7 +305,7 @@ def test_plots_are_drawn_along_a_recording(tmp_path):
 
 @pytest.mark.night
 def test_several_flights_into_the_notch_are_kept():
-    """Three in each of 20 worlds: all confirmed, no false track, at most one lost in the notch; interacting models lose many."""
+    """Three in each of 20 worlds: all confirmed, no false track, at most one lost in the notch."""
     totals = []
     for seed in range(20):
         job = load(Settings(targets=3), seed)
