@@ -184,6 +184,33 @@ def test_recordings_that_cannot_be_flown_are_refused(tmp_path, change, settings,
     refused(error, *words)
 
 
+def test_of_several_aircraft_one_is_named(tmp_path):
+    """Rows of several flights may lie among one another; each is smoothed as if it were alone."""
+    one, other = made_up(40), mirrored(made_up(40, 4))
+    rows = [(*values, name) for name, reports in (("4b1", one), ("39e2", other)) for values in zip(*reports.values(), strict=True)]
+    lines = [",".join([*COLUMNS, "icao24"]), *(",".join(map(str, row)) for row in sorted(rows))]
+    (tmp_path / "both.csv").write_text("\n".join(lines) + "\n")
+    for name, reports in (("4b1", one), ("39e2", other)):
+        alone = scenario.read_path(in_csv(tmp_path, reports), **ALL)
+        np.testing.assert_allclose(scenario.read_path(tmp_path / "both.csv", **ALL, aircraft=name).states, alone.states)
+    both = scenario.read_paths(tmp_path / "both.csv", 20.0, 100.0)
+    assert list(both) == ["39e2", "4b1"]
+    assert both["4b1"].times[[0, -1]].tolist() == [0, 100]
+    place = (both["4b1"].states[0, :2] + scenario.RADAR) / scenario.EARTH
+    expected = one["latitude"][4] - np.median(np.r_[one["latitude"][4:25], other["latitude"][4:25]])
+    assert abs(np.degrees(place[1]) - expected) < 3e-3
+    for aircraft, words in (("", ("39e2, 4b1", "got none", "motes run target_tracking")), ("4b", ("39e2, 4b1", "'4b'"))):
+        with pytest.raises(mo.MotesError) as error:
+            scenario.read_path(tmp_path / "both.csv", **ALL, aircraft=aircraft)
+        refused(error, "aircraft", *words)
+    with pytest.raises(mo.MotesError) as error:
+        scenario.read_path(in_csv(tmp_path, one), **ALL, aircraft="4b1")
+    refused(error, "aircraft", "no column icao24")
+    with pytest.raises(mo.MotesError) as error:
+        scenario.read_paths(tmp_path / "both.csv", 1e4)
+    refused(error, "both.csv", "an aircraft with 10 positions from second 10000")
+
+
 def test_a_path_without_a_scored_plot_is_refused(tmp_path):
     path = scenario.read_path(in_csv(tmp_path, made_up(12)), **ALL)
     with pytest.raises(mo.MotesError) as error:
@@ -228,7 +255,7 @@ CLUTTERED = Radar(detection=0.8, false=20.0)
 
 
 def test_scans_hold_the_aircrafts_plots_among_false_ones():
-    path = scenario.path_of(*made_up().values())
+    path = scenario.path_of(scenario.Reports(*made_up().values()))
     found = scenario.track(path, 1, 300, CLUTTERED)
     alone = scenario.track(path, 1, 300, Radar(detection=0.8))
     own, there = np.asarray(alone.ys), np.asarray(found.ys.there)

@@ -13,8 +13,11 @@ import pytest
 import motes as mo
 from data import refused
 from motes.applications.target_tracking import scans as reading
-from motes.applications.target_tracking.job import LOST, load, tracker
+from motes.applications.target_tracking.beginning import begun
+from motes.applications.target_tracking.job import load
+from motes.applications.target_tracking.model import Tracker
 from motes.applications.target_tracking.settings import Radar, Settings
+from motes.applications.target_tracking.shared import LOST
 from motes.applications.target_tracking.world import SPEED, made_up
 from motes.cli.main import main
 from motes.laws.observed import Observed
@@ -32,7 +35,7 @@ def flights():
 
 
 def range_rates(world):
-    return range_rates_of(world.states.T)
+    return range_rates_of(world.states[:, 0].T)
 
 
 def range_rates_of(states):
@@ -43,10 +46,10 @@ def range_rates_of(states):
 
 def tracked(flights, knows, n=2_000):
     """Errors of the position `(runs, t)` of a particle filter, NaN before the track begins."""
-    begins = [reading.begun(world.times, world.scans, RADAR) for world in flights]
+    begins = [begun(world.times, world.scans, RADAR) for world in flights]
     last = max(begin.scan for begin in begins)
     steps = SCANS - last
-    model = tracker(begins[0], RADAR, ROOM, knows).as_state_space()
+    model = Tracker(RADAR, ROOM, knows)(begins[0].mean, begins[0].cov).as_state_space()
     packed = []
     for world, begin in zip(flights, begins, strict=True):
         found = model.sensor.parts[0].packed(mo.plots([None, *world.scans[begin.scan + 1 : begin.scan + steps]]))
@@ -55,7 +58,7 @@ def tracked(flights, knows, n=2_000):
 
     def one(row):
         key, value, there, mean, cov = row
-        model = tracker(reading.Beginning(0, mean, cov), RADAR, ROOM, knows).as_state_space()
+        model = Tracker(RADAR, ROOM, knows)(mean, cov).as_state_space()
         filter = mo.ParticleFilter(n=n, on_collapse="predict")
         return mo.run(key, filter, model, Observed(value, there), {"dt": dt}, keep=mo.keep.means).mean[:, :2]
 
@@ -65,7 +68,7 @@ def tracked(flights, knows, n=2_000):
     errors = np.full((len(flights), SCANS), np.nan)
     for found, mean, world, begin in zip(errors, means, flights, begins, strict=True):
         now = slice(begin.scan, begin.scan + steps)
-        found[now] = np.hypot(*(mean - world.states[now, :2]).T)
+        found[now] = np.hypot(*(mean - world.states[now, 0, :2]).T)
     return errors
 
 
@@ -88,8 +91,8 @@ def test_silence_tells_where_a_target_hides(flights):
 def test_tracks_begin_at_the_target(flights):
     """Not at false plots: within four standard deviations of the true state."""
     for world in flights[:20]:
-        begin = reading.begun(world.times, world.scans, RADAR)
-        off = begin.mean - world.states[begin.scan]
+        begin = begun(world.times, world.scans, RADAR)
+        off = begin.mean - world.states[begin.scan, 0]
         assert begin.scan < 8
         assert off @ np.linalg.solve(begin.cov, off) < 40
         assert np.hypot(*off[:2]) < 600
@@ -97,8 +100,8 @@ def test_tracks_begin_at_the_target(flights):
 
 def test_flights_are_those_of_aircraft(flights):
     for world in flights:
-        assert np.allclose(np.hypot(*world.states[:, 2:].T), SPEED)
-        steps = np.diff(world.states[:, :2], axis=0)
+        assert np.allclose(np.hypot(*world.states[:, 0, 2:].T), SPEED)
+        steps = np.diff(world.states[:, 0, :2], axis=0)
         assert np.allclose(np.hypot(*steps.T), SPEED * PERIOD, rtol=0.02)
 
 

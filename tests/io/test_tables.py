@@ -5,7 +5,7 @@ import pytest
 
 from data import recorded, refused
 from motes.core.checks import FileError, MotesError
-from motes.io.tables import read_table, times
+from motes.io.tables import column_names, read_table, times
 
 arrow = pytest.importorskip("pyarrow")
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -48,6 +48,21 @@ def test_chosen_columns_come_in_the_order_asked(tmp_path):
     path = file(tmp_path, 'name,"x, y",z\n"two\nlines, quoted",1,2\nother,3,4\n')
     table = read_table(path, ["z", "x, y"])
     assert list(table) == ["z", "x, y"] and table["x, y"].tolist() == [1, 3]
+
+
+def test_columns_of_text_are_read_where_they_are(tmp_path):
+    """Labels stay what they are, also those that look like numbers; rows are taken apart by them."""
+    csv = file(tmp_path, "a,who\n1, 4e1\n2,b c\n3,4e1\n")
+    json = file(tmp_path, '[{"a": 1, "who": "4e1"}, {"a": 2, "who": "b c"}, {"a": 3, "who": "4e1"}]', "table.json")
+    for path in (csv, json, packed(tmp_path, {"a": [1.0, 2.0, 3.0], "who": ["4e1", "b c", "4e1"]})):
+        assert column_names(path) == ["a", "who"]
+        parts = read_table(path, ["a"], ["who", "where"]).by("who")
+        assert {name: part["a"].tolist() for name, part in parts.items()} == {"4e1": [1, 3], "b c": [2]}
+        assert "3" in parts["4e1"].place(1)
+        assert list(read_table(path, ["a"]).by("who")) == [""]
+    with pytest.raises(FileError) as error:
+        read_table(file(tmp_path, "a,who\n1,x\n2,\n"), ["a"], ["who"]).by("who")
+    refused(error, "a name or a number in line 3 (row 2)", "column 'who'", "none")
 
 
 def test_times_become_unix_seconds(tmp_path):

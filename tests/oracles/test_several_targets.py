@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 import motes as mo
+from motes.diagnostics.sets import followers
 from motes.laws import association
 
 pytestmark = pytest.mark.jax
@@ -297,5 +298,10 @@ def test_swaps_are_counted_once_and_tracks_stay_with_their_targets():
     gone = truth.copy()
     gone[2:4] += 100.0
     assert mo.diagnostics.swaps(gone, truth, 1.5) == 0
+    absent, short = swapped.copy(), truth.copy()
+    absent[2:4], short[4:, 1] = np.nan, np.nan
+    assert mo.diagnostics.swaps(absent, truth, 1.5) == 2, "what is not there follows nothing and is not forgotten"
+    assert mo.diagnostics.swaps(swapped, short, 1.5) == 2
+    assert followers(absent, short, 1.5).tolist() == [[0, 1], [0, 1], [-1, -1], [-1, -1], [1, -1], [1, -1]]
     with pytest.raises(mo.MotesError, match="swaps estimates: expected points"):
         mo.diagnostics.swaps(truth[0], truth[0], 1.0)

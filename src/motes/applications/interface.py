@@ -5,7 +5,7 @@ its fields, and their help is its docstring. It imports no JAX, so that `--help`
 gives a `Job`: it reads the user's files where the settings name some, and otherwise makes a world of its own from the seed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +17,8 @@ from motes.filters import keep as keeping
 from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
+from motes.filters.run import run_in_chunks
+from motes.io.result_table import Table
 from motes.laws.circular import wrap
 from motes.models.interface import Model
 from motes.plotting.plot import plot
@@ -66,6 +68,10 @@ class Job:
     blocks: Mapping[str, tuple[str, ...]] | None = None
     lost: tuple[str, float] | None = None
 
+    def pieces(self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int) -> Iterator[History]:
+        """Run a filter; yield the histories of parts of so many steps, one after the other."""
+        return run_in_chunks(seed, filter, self.model, ys, inputs, keep, chunk=chunk)
+
     def about(self) -> str:
         """Return what is to be said before filters run; "" for nothing."""
         return ""
@@ -89,6 +95,10 @@ class Job:
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Return matplotlib figures of runs by the name of their file."""
         return {"states.png": plot(next(iter(histories.values())), truth=self.truth)}
+
+    def tables(self, history: History) -> dict[str, Table]:
+        """Return what is told of a run in tables, by what their files are called after its name."""
+        return {}
 
     def written(self, folder: Path, settings: Any) -> Any:
         """Write what was made up as a user's own files would come, and return the settings that name them by their full paths."""

@@ -1,7 +1,7 @@
 """`motes run APPLICATION`: run filters on an application or a model of the user's own, its measurements made up or from files.
 
 Writes to the folder `--out`: for each filter its history as NetCDF and as NPZ, and, where a smoother is named, a table of what that found;
-`summary.json`; the pictures of the application.
+`summary.json`; the tables and pictures of the application.
 """
 
 from collections.abc import Sequence
@@ -78,6 +78,8 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
         history.save(folder / f"{name}.npz")
         if smoother is not None:
             running.write_smoothed(folder / f"{name}_smoothed.csv", settings.seed, smoother, job, history)
+        for what, table in job.tables(history).items():
+            table.save(folder / f"{name}_{what}.csv")
     for name, figure in job.pictures(histories).items():
         running.write_figure(folder / name, figure)
     running.write_summary(folder / "summary.json", {"application": wish.application.name}, settings, found)

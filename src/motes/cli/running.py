@@ -6,7 +6,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
 from motes.filters.notices import notices
-from motes.filters.run import run, run_in_chunks
+from motes.filters.run import run
 from motes.io.archive import provenance, whole_file
 from motes.io.files import label
 from motes.io.result_table import Table
@@ -81,16 +81,15 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep) -> dict
                 progress.advance(task, steps)
                 further()
 
-            found = _timed(seed, one, model, ys, inputs, keep, advance)
+            found = _timed(job.pieces(seed, one, ys, inputs, keep, math.ceil(steps_of(ys) / CHUNKS)), one, advance)
             outcomes[name] = found if job.times is None else found._replace(history=replace(found.history, times=np.asarray(job.times)))
     return outcomes
 
 
-def _timed(seed: int, filter: Filter, model: Any, ys: Any, inputs: Any, keep: Keep, advance: Any) -> Outcome:
-    chunk = math.ceil(steps_of(ys) / CHUNKS)
+def _timed(parts: Iterator[History], filter: Filter, advance: Any) -> Outcome:
     pieces, times, seen = [], [], set()
     began = time.perf_counter()
-    for number, piece in enumerate(run_in_chunks(seed, filter, model, ys, inputs, keep, chunk=chunk)):
+    for number, piece in enumerate(parts):
         jax.block_until_ready(piece)
         now = time.perf_counter()
         count = steps(piece)

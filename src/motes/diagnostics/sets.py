@@ -77,31 +77,50 @@ def swaps(estimates: Any, truths: Any, cutoff: float) -> int:
     sum. Two tracks that exchange their targets are two swaps.
 
     Args:
-        estimates: points of the tracks over time, `(t, m, x)`.
+        estimates: points of the tracks over time, `(t, m, x)`; a point of NaN is not there.
         truths: those of the targets, `(t, n, x)`.
         cutoff: distance from which on two points are no pair.
 
     Raises:
         MotesError: the points do not fit each other, or the cutoff is not positive.
     """
+    return int(changes(followers(estimates, truths, cutoff)).sum())
+
+
+def changes(tracks: np.ndarray) -> np.ndarray:
+    """Count, for each target, the swaps `(n,)` among the tracks `(t, n)` that follow it, -1 for none."""
+    counts = np.zeros(tracks.shape[1], int)
+    for target, column in enumerate(tracks.T):
+        known = column[column >= 0]
+        counts[target] = np.sum(known[1:] != known[:-1])
+    return counts
+
+
+def followers(estimates: Any, truths: Any, cutoff: float) -> np.ndarray:
+    """Return which track follows each target, `(t, n)`, -1 where none does; see `swaps`."""
     from scipy.optimize import linear_sum_assignment
 
     shapes = [np.shape(points) for points in (estimates, truths)]
     if len(shapes[0]) != 3 or len(shapes[1]) != 3 or shapes[0][0] != shapes[1][0]:
         checks.refuse("swaps estimates", "points (t, m, x), at as many steps as the truths", f"shapes {shapes[0]} and {shapes[1]}")
-    count = 0
+    found = np.full(shapes[1][:2], -1)
     track_of: dict[int, int] = {}
-    for own, true in zip(np.asarray(estimates), np.asarray(truths), strict=True):
-        near = _cut("swaps", own, true, cutoff, 1.0)
-        kept = {target: track for target, track in track_of.items() if near[track, target] < cutoff}
+    for step, (own, true) in enumerate(zip(np.asarray(estimates), np.asarray(truths), strict=True)):
+        there = [np.flatnonzero(~np.isnan(np.asarray(points, np.float64)).all(axis=1)) for points in (own, true)]
+        near = np.full((len(own), len(true)), float(cutoff))
+        near[np.ix_(*there)] = _cut("swaps", own[there[0]], true[there[1]], cutoff, 1.0)
+        kept: dict[int, int] = {}
+        for target, track in sorted(track_of.items(), key=lambda pair: near[pair[1], pair[0]]):
+            if near[track, target] < cutoff and track not in kept.values():
+                kept[target] = track
         free = [track for track in range(near.shape[0]) if track not in kept.values()]
         left = [target for target in range(near.shape[1]) if target not in kept]
         for row, column in zip(*linear_sum_assignment(near[np.ix_(free, left)]), strict=True):
-            track, target = free[row], left[column]
-            if near[track, target] < cutoff:
-                count += track_of.get(target, track) != track
-                track_of[target] = track
-    return count
+            if near[free[row], left[column]] < cutoff:
+                kept[left[column]] = free[row]
+        track_of |= kept
+        found[step, list(kept)] = list(kept.values())
+    return found
 
 
 def _cut(asked_by: str, estimates: Any, truths: Any, cutoff: float, order: float) -> np.ndarray:

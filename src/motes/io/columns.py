@@ -15,22 +15,45 @@ MISSING = ("", "nan", "na", "n/a", "#n/a", "<na>", "null", "none", "nat")
 
 
 class Columns(dict[str, np.ndarray]):
-    """Columns of a file by name, each float64 `(rows,)`, and where its rows stand in it.
+    """Columns of a file by name, each float64 `(rows,)`, or text where labels were asked for, and where its rows stand in it.
 
     Attributes:
         source: name of the file, for messages.
         word: what `places` count, "line" or "row".
         places: where each row stands in the file, `(rows,)`.
+        numbers: of the rows among all that were read, from 0, `(rows,)`.
     """
 
-    def __init__(self, columns: Mapping[str, np.ndarray], source: str, word: str, places: Sequence[int]):
-        """Keep columns, and where they came from."""
+    def __init__(
+        self, columns: Mapping[str, np.ndarray], source: str, word: str, places: Sequence[int], numbers: Sequence[int] | None = None
+    ):
+        """Keep columns, and where they came from; numbers are those of all rows if not given."""
         super().__init__(columns)
         self.source, self.word, self.places = source, word, places
+        self.numbers = range(len(places)) if numbers is None else numbers
 
     def place(self, row: int) -> str:
         """Return what the row with an index is called in messages, such as "line 7 (row 5)"."""
-        return f"{self.word} {self.places[row]}" + (f" (row {row + 1})" if self.word != "row" else "")
+        return f"{self.word} {self.places[row]}" + (f" (row {self.numbers[row] + 1})" if self.word != "row" else "")
+
+    def rows(self, places: np.ndarray) -> "Columns":
+        """Return some rows, by their indices `(m,)`."""
+        found = {name: column[places] for name, column in self.items()}
+        return Columns(found, self.source, self.word, *([where[row] for row in places] for where in (self.places, self.numbers)))
+
+    def by(self, name: str) -> dict[str, "Columns"]:
+        """Return the rows of each label of a column of text, in the order in which they come; all under "" where there is no such column.
+
+        Raises:
+            FileError: a row has none.
+        """
+        if name not in self:
+            return {"": self}
+        texts = self[name]
+        if (texts == "").any():
+            hint = "Leave the column out where all rows are of one."
+            reject(self.source, f"a name or a number in {self.place(int(np.argmax(texts == '')))}, column {name!r}", "none", hint)
+        return {text: self.rows(np.flatnonzero(texts == text)) for text in dict.fromkeys(texts.tolist())}
 
     def times(self, name: str, *, repeats: bool = True) -> tuple[float, np.ndarray]:
         """Split a column of times as `times` does; messages name file, column, and line or row."""
@@ -38,8 +61,14 @@ class Columns(dict[str, np.ndarray]):
         return times(self[name], repeats=repeats, name=f"{self.source}: column {name!r}", rows=rows)
 
 
-def chosen_names(path: Any, names: Sequence[str], wanted: list[str] | None) -> list[str]:
-    """Return the names of the columns to read, in order.
+def labels(cells: Sequence[Any]) -> np.ndarray:
+    """Return the cells of a column of text; "" where there is nothing."""
+    texts = ["" if cell is None else str(cell).strip() for cell in cells]
+    return np.array(["" if text.lower() in MISSING else text for text in texts], object)
+
+
+def chosen_names(path: Any, names: Sequence[str], wanted: list[str] | None, texts: Sequence[str] = ()) -> list[str]:
+    """Return the names of the columns to read, in order; those of texts only where they are there.
 
     Raises:
         FileError: two columns have one name, or one is not there.
@@ -52,7 +81,7 @@ def chosen_names(path: Any, names: Sequence[str], wanted: list[str] | None) -> l
     for name in wanted or []:
         if name not in names:
             reject(path, f"a column {name!r}", f"the columns {', '.join(names)[:240]}")
-    return list(names) if wanted is None else list(dict.fromkeys(wanted))
+    return list(names) if wanted is None else list(dict.fromkeys([*wanted, *(name for name in texts if name in names)]))
 
 
 def _converts(convert: Callable[[str], float], cell: str) -> bool:

@@ -4,12 +4,13 @@ import json
 import os
 import re
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from motes.io.columns import Columns, chosen_names, numbers
+from motes.io.columns import Columns, chosen_names, labels, numbers
 from motes.io.files import foreign, label, reject
 
 JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(\[\s*[{\]]|\{\s*[\"}])")
@@ -36,7 +37,7 @@ def unzipped(path: str | os.PathLike[str], size: int) -> bytes:
     return data
 
 
-def read_json(path: str | os.PathLike[str], data: bytes, wanted: list[str] | None) -> Columns:
+def read_json(path: str | os.PathLike[str], data: bytes, wanted: list[str] | None, texts: Sequence[str] = ()) -> Columns:
     """Read columns from a list of records, `[{"a": 1, "b": 2}, ...]`, or from columns, `{"a": {"0": 1, ...}, ...}` or `{"a": [1, ...]}`.
 
     A null, or what a record lacks, is NaN.
@@ -45,23 +46,34 @@ def read_json(path: str | os.PathLike[str], data: bytes, wanted: list[str] | Non
         path: the file, for messages.
         data: its content.
         wanted: names of the columns; all if None.
+        texts: names of columns of text, where they are there.
 
     Raises:
         FileError: the content is no such table, or a cell no number or time.
+    """
+    columns = json_columns(path, data)
+    chosen = chosen_names(path, list(columns), wanted, texts)
+    lengths = {len(columns[name]) for name in chosen}
+    if len(lengths) != 1 or 0 in lengths:
+        reject(path, "columns of one length, with at least one row", str(sorted(lengths))[:80] if chosen else "none")
+    rows = range(1, len(columns[chosen[0]]) + 1)
+    found = {name: labels(columns[name]) if name in texts else _numbers(path, name, columns[name], rows, wanted is not None)
+             for name in chosen}  # fmt: skip
+    return Columns(found, label(path), "row", rows)
+
+
+def json_columns(path: str | os.PathLike[str], data: bytes) -> dict[str, list[Any]]:
+    """Return the cells of each column as they stand.
+
+    Raises:
+        FileError: the content is no table.
     """
     for mark, most, what in ((b"{", RECORDS, "records"), (b",", VALUES, "numbers")):
         if data.count(mark) > most:
             reject(path, f"at most {most} {what} in JSON", data.count(mark), "Write the table as CSV or Parquet.")
     with foreign(path, "well-formed JSON in UTF-8"):
         content = json.loads(data.decode("utf-8-sig"), object_pairs_hook=_without_doubles)
-    columns = _by_columns(path, content)
-    chosen = chosen_names(path, list(columns), wanted)
-    lengths = {len(columns[name]) for name in chosen}
-    if len(lengths) != 1 or 0 in lengths:
-        reject(path, "columns of one length, with at least one row", str(sorted(lengths))[:80] if chosen else "none")
-    rows = range(1, len(columns[chosen[0]]) + 1)
-    found = {name: _numbers(path, name, columns[name], rows, wanted is not None) for name in chosen}
-    return Columns(found, label(path), "row", rows)
+    return _by_columns(path, content)
 
 
 def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

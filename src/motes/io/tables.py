@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from motes.core.checks import need
-from motes.io.columns import MISSING, Columns, chosen_names, is_number, numbers
+from motes.io.columns import MISSING, Columns, chosen_names, is_number, labels, numbers
 from motes.io.files import foreign, label, look, reject
 from motes.io.instants import TICKS
 from motes.io.instants import times as times
-from motes.io.json_tables import JSON_START, read_json, unzipped
+from motes.io.json_tables import JSON_START, json_columns, read_json, unzipped
 
 DELIMITERS = ",;\t"
 LINE_END = re.compile("\r\n|\r|\n")
@@ -27,7 +27,7 @@ WIDEST = 100_000
 GZIP = b"\x1f\x8b"
 
 
-def read_table(path: str | os.PathLike[str], columns: Sequence[str] | None = None) -> Columns:
+def read_table(path: str | os.PathLike[str], columns: Sequence[str] | None = None, texts: Sequence[str] = ()) -> Columns:
     """Read columns of numbers and times from a CSV, JSON or Parquet file, told apart by its content; the first two may be zipped by gzip.
 
     A CSV file is UTF-8 text with one line of names, separated by commas, semicolons or tabs; lines that begin with `#` are comments.
@@ -37,9 +37,10 @@ def read_table(path: str | os.PathLike[str], columns: Sequence[str] | None = Non
     Args:
         path: the file.
         columns: names of the columns to read, in this order; all if not given.
+        texts: names of columns of text, such as names of aircraft; they are read where the file has them.
 
     Returns:
-        One float64 array `(rows,)` per column, which know where their rows stand in the file.
+        One float64 array `(rows,)` per column, and one of text per column of those, which know where their rows stand in the file.
 
     Raises:
         FileError: the file is damaged or empty, lacks a column, or holds text or infinite numbers; the message names
@@ -49,15 +50,33 @@ def read_table(path: str | os.PathLike[str], columns: Sequence[str] | None = Non
     size, start = look(path, 4)
     wanted = None if columns is None else [columns] if isinstance(columns, str) else list(columns)
     if start == b"PAR1":
-        return _read_parquet(path, size, wanted)
+        return _read_parquet(path, size, wanted, texts)
+    data = _content(path, size, start)
+    return read_json(path, data, wanted, texts) if JSON_START.match(data) else _read_csv(path, data, wanted, texts)
+
+
+def column_names(path: str | os.PathLike[str]) -> list[str]:
+    """Return the names of the columns of a file that `read_table` reads.
+
+    Raises:
+        FileError: the file is damaged or empty.
+        MissingExtraError: the file is Parquet and pyarrow is not installed.
+    """
+    size, start = look(path, 4)
+    if start == b"PAR1":
+        with foreign(path, "an undamaged Parquet file"), Path(path).open("rb") as file:
+            return list(need("pyarrow.parquet", "io").ParquetFile(need("pyarrow", "io").PythonFile(file)).schema_arrow.names)
+    data = _content(path, size, start)
+    return list(json_columns(path, data)) if JSON_START.match(data) else _csv_rows(path, data)[0]
+
+
+def _content(path: str | os.PathLike[str], size: int, start: bytes) -> bytes:
     with foreign(path, "a readable file"):
-        data = unzipped(path, size) if start[:2] == GZIP else Path(path).read_bytes()
-    if JSON_START.match(data):
-        return read_json(path, data, wanted)
-    return _read_csv(path, data, wanted)
+        return unzipped(path, size) if start[:2] == GZIP else Path(path).read_bytes()
 
 
-def _read_csv(path: str | os.PathLike[str], data: bytes, wanted: list[str] | None) -> Columns:
+def _csv_rows(path: str | os.PathLike[str], data: bytes) -> tuple[list[str], Any, int]:
+    """Return the names of the columns, a reader of the rows after them, and how many lines of comments come before."""
     text = _text(path, data)
     with foreign(path, "well-formed CSV"):
         skipped, rest = _without_comments(text)
@@ -72,13 +91,20 @@ def _read_csv(path: str | os.PathLike[str], data: bytes, wanted: list[str] | Non
         if all(is_number(name) for name in names):
             hint = "Take the # off the line of names." if skipped else "Add a line of names."
             reject(path, "a line of column names", f"numbers in line {skipped + 1}: {first[:60]!r}", hint)
-        chosen = chosen_names(path, names, wanted)
+    return names, rows, skipped
+
+
+def _read_csv(path: str | os.PathLike[str], data: bytes, wanted: list[str] | None, texts: Sequence[str]) -> Columns:
+    names, rows, skipped = _csv_rows(path, data)
+    with foreign(path, "well-formed CSV"):
+        chosen = chosen_names(path, names, wanted, texts)
         cells: list[list[str]] = [[] for _ in chosen]
         lines = _collect(path, rows, len(names), [names.index(name) for name in chosen], cells, skipped)
     if not lines:
         reject(path, "at least one line of data", "column names only")
     asked = wanted is not None
-    found = {name: numbers(path, name, column, lines, "line", asked) for name, column in zip(chosen, cells, strict=True)}
+    found = {name: labels(column) if name in texts else numbers(path, name, column, lines, "line", asked)
+             for name, column in zip(chosen, cells, strict=True)}  # fmt: skip
     return Columns(found, label(path), "line", lines)
 
 
@@ -129,14 +155,14 @@ def _collect(path: Any, rows: Any, width: int, places: list[int], cells: list[li
     return lines
 
 
-def _read_parquet(path: str | os.PathLike[str], size: int, wanted: list[str] | None) -> Columns:
+def _read_parquet(path: str | os.PathLike[str], size: int, wanted: list[str] | None, texts: Sequence[str]) -> Columns:
     parquet, arrow = need("pyarrow.parquet", "io"), need("pyarrow", "io")
     with foreign(path, "an undamaged Parquet file"), Path(path).open("rb") as file:
         file.seek(max(size - 4, 0))
         if size < 12 or file.read(4) != b"PAR1":
             reject(path, "'PAR1' at both ends of a Parquet file", "it at the start only", "The file is cut short.")
         source = parquet.ParquetFile(arrow.PythonFile(file), page_checksum_verification=True)
-        chosen = chosen_names(path, source.schema_arrow.names, wanted)
+        chosen = chosen_names(path, source.schema_arrow.names, wanted, texts)
         rows = source.metadata.num_rows
         # packed columns may be small, but a header alone must not make us allocate without bound
         if rows * len(chosen) > max(LARGEST, 8 * size):
@@ -148,7 +174,8 @@ def _read_parquet(path: str | os.PathLike[str], size: int, wanted: list[str] | N
             reject(path, "at least one row", "column names only")
         table = source.read(columns=chosen, use_threads=False)
         table.validate(full=True)
-        found = {name: _arrow_numbers(path, name, table.column(name), wanted is not None) for name in chosen}
+        found = {name: labels(table.column(name).to_pylist()) if name in texts else
+                 _arrow_numbers(path, name, table.column(name), wanted is not None) for name in chosen}  # fmt: skip
         return Columns(found, label(path), "row", range(1, rows + 1))
 
 

@@ -13,7 +13,7 @@ from motes.applications.aircraft import scenario
 from motes.applications.aircraft.model import Flight, Radar, jumping
 from motes.applications.aircraft.pictures import track_figure
 from motes.applications.aircraft.settings import Settings
-from motes.applications.aircraft.world import Reports, flown_reports
+from motes.applications.aircraft.world import flown_reports
 from motes.applications.interface import Job, Score
 from motes.core import checks
 from motes.filters import keep
@@ -48,9 +48,9 @@ def load(settings: Settings, seed: int) -> "AircraftJob":
     radar = Radar(asked.distance, asked.azimuth, asked.detection, asked.false, asked.farthest)
     reports = None if settings.data else flown_reports(seed, settings.duration)
     if reports is None:
-        path = scenario.read_path(settings.data, settings.begin, settings.duration, site)
+        path = scenario.read_path(settings.data, settings.begin, settings.duration, site, settings.aircraft)
     else:
-        path = scenario.path_of(*reports, site)
+        path = scenario.path_of(reports, site)
     track = scenario.track(path, seed, settings.plots.steps, radar)
     times = np.cumsum(np.asarray(track.dt, np.float64))
     # beyond the end of the flight there is neither plot nor truth
@@ -76,7 +76,7 @@ class AircraftJob(Job):
     """
 
     track: scenario.Track
-    reports: Reports | None
+    reports: scenario.Reports | None
 
     def title(self, steps: int) -> str:
         """Return how many plots there were."""
@@ -102,5 +102,5 @@ class AircraftJob(Job):
         """Write the reports of a flight that was made up."""
         if self.reports is None:
             return settings
-        Table(Reports._fields, tuple(map(tuple, np.stack(self.reports, axis=1).tolist()))).save(folder / FILE)
+        Table(scenario.REPORT, tuple(map(tuple, np.stack(self.reports, axis=1).tolist()))).save(folder / FILE)
         return replace(settings, data=str(folder / FILE))

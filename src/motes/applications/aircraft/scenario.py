@@ -10,6 +10,7 @@ import numpy as np
 from motes.applications.aircraft.model import Radar
 from motes.core import checks
 from motes.core.record import record
+from motes.io.columns import Columns
 from motes.io.tables import read_table
 from motes.laws.gaussian import Gaussian
 from motes.laws.observed import Observed
@@ -24,7 +25,8 @@ UNSCORED = 10
 """Plots at the start that are not scored."""
 LOST = 1e3
 """A track is lost when it is further off at a plot, meters."""
-REPORT = ("timestamp", "latitude", "longitude", "groundspeed", "track")
+NAME, SHOWN = "icao24", 12
+"""Column that tells aircraft apart, and how many of them a refusal names."""
 LIMITS = ((-1e15, 1e15), (-89.0, 89.0), (-180.0, 360.0), (0.0, 2000.0), (-360.0, 360.0))
 """Columns of a report and what they can be: seconds, degrees (no flat map has a pole), degrees, knots, degrees."""
 LEAST = 10
@@ -32,6 +34,19 @@ LEAST = 10
 LATEST, MILLI = 1e11, 1e3
 """Times beyond the one, in the year 5138, are milliseconds."""
 EARTH, KNOT = 6371008.8, 1852 / 3600
+
+
+class Reports(NamedTuple):
+    """Reports `(r,)` by column: seconds, degrees, degrees, knots, degrees from north."""
+
+    timestamp: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    groundspeed: np.ndarray
+    track: np.ndarray
+
+
+REPORT = Reports._fields
 
 
 class Path(NamedTuple):
@@ -81,7 +96,11 @@ class Score(NamedTuple):
 
 
 def read_path(
-    file: str | os.PathLike[str], start: float = BEGIN, duration: float = DURATION, radar: tuple[float, float] = RADAR
+    file: str | os.PathLike[str],
+    start: float = BEGIN,
+    duration: float = DURATION,
+    radar: tuple[float, float] = RADAR,
+    aircraft: str = "",
 ) -> Path:
     """Read a recording of ADS-B reports (CSV, JSON or Parquet, also zipped by gzip) and smooth it.
 
@@ -89,36 +108,78 @@ def read_path(
     on a plane, with velocities stretched in the same way.
 
     Args:
-        file: the recording, with the columns timestamp, latitude, longitude (degrees), groundspeed (knots) and track (degrees from north).
+        file: the recording, with the columns timestamp, latitude, longitude (degrees), groundspeed (knots) and track (degrees from north),
+            and icao24 where there are several aircraft in it.
         start: of the part that is flown, seconds since the first report.
         duration: of that part, seconds; a recording may end before.
         radar: east and north of the radar from the middle of that part, meters.
+        aircraft: icao24 of the one that is flown; "" where there is but one.
 
     Raises:
         FileError: the file cannot be used, or holds too little of the part that is asked for.
+        MotesError: a setting cannot be used, or does not say which of several aircraft.
+    """
+    _check_part(start, duration, radar)
+    found = read_table(file, REPORT, (NAME,)).by(NAME)
+    if aircraft and aircraft not in found or not aircraft and len(found) > 1:
+        names = ", ".join(sorted(found)[:SHOWN]) + ", ..." * (len(found) > SHOWN) if found.keys() != {""} else f"no column {NAME}"
+        checks.refuse("aircraft", f"the {NAME} of one in {os.fspath(file)[-80:]}: {names}", repr(aircraft)[:40] if aircraft else "none",
+                      "motes run target_tracking follows all at once." if len(found) > 1 else "")  # fmt: skip
+    table = found[aircraft] if aircraft else next(iter(found.values()))
+    heard = _heard(table)
+    if len(heard.timestamp) < LEAST:
+        checks.refuse(table.source, f"at least {LEAST} reports of position and velocity",
+                      f"{len(heard.timestamp)} of {len(table.places)} rows", error=checks.FileError)  # fmt: skip
+    reports = _part(heard, heard.timestamp[0], start, duration)
+    if len(reports.timestamp) < LEAST:
+        seconds = heard.timestamp[-1] - heard.timestamp[0]
+        checks.refuse(table.source, f"at least {LEAST} positions from second {start:g} to {start + duration:g}",
+                      f"{len(reports.timestamp)} in a recording of {seconds:.0f} s", "Set start and duration.",
+                      checks.FileError)  # fmt: skip
+    return path_of(reports, radar)
+
+
+def read_paths(
+    file: str | os.PathLike[str], start: float = BEGIN, duration: float = DURATION, radar: tuple[float, float] = RADAR
+) -> dict[str, Path]:
+    """Read the paths of all aircraft of a recording, on one plane; see `read_path`.
+
+    Returns:
+        Paths by icao24; times are seconds since the start of the part. Aircraft with fewer than 10 positions in it are left out.
+
+    Raises:
+        FileError: the file cannot be used, or no aircraft has so many.
         MotesError: a setting cannot be used.
     """
+    _check_part(start, duration, radar)
+    heard = {name: _heard(table) for name, table in read_table(file, REPORT, (NAME,)).by(NAME).items()}
+    first = min((reports.timestamp[0] for reports in heard.values() if reports.timestamp.size), default=0.0)
+    parts = {name: _part(reports, first, start, duration) for name, reports in heard.items()}
+    parts = {name: reports for name, reports in parts.items() if reports.timestamp.size >= LEAST}
+    if not parts:
+        checks.refuse(os.fspath(file)[-160:], f"an aircraft with {LEAST} positions from second {start:g} to {start + duration:g}",
+                      f"{len(heard)} with fewer", "Set start and duration.", checks.FileError)  # fmt: skip
+    everywhere = [np.concatenate(column) for column in zip(*parts.values(), strict=True)]
+    middle = _middle(Reports(*everywhere))
+    return {name: path_of(reports, radar, middle)._replace(times=reports.timestamp - start) for name, reports in parts.items()}
+
+
+def _check_part(start: float, duration: float, radar: tuple[float, float]) -> None:
     for name, value in (("start", start), ("radar east", radar[0]), ("radar north", radar[1])):
         checks.finite(name, value)
     checks.above_zero("duration", duration)
-    time, latitude, longitude, speed, track = _flown(file, start, duration)
-    return path_of(time, latitude, longitude, speed, track, radar)
 
 
-def path_of(
-    time: np.ndarray, latitude: np.ndarray, longitude: np.ndarray, speed: np.ndarray, track: np.ndarray, radar: tuple[float, float] = RADAR
-) -> Path:
+def path_of(reports: Reports, radar: tuple[float, float] = RADAR, middle: tuple[float, float] | None = None) -> Path:
     """Lay reports out on a plane and smooth them; see `read_path`.
 
     Args:
-        time: seconds, `(r,)`, as all of the reports.
-        latitude: degrees.
-        longitude: degrees.
-        speed: over ground, knots.
-        track: degrees from north, clockwise.
-        radar: east and north of the radar from the middle of the flight, meters.
+        reports: those of one flight, in order of time.
+        radar: east and north of the radar from the middle, meters.
+        middle: latitude and longitude of the middle of the plane, degrees; that of the flight if None.
     """
-    middle = np.median(latitude), np.median(longitude)
+    time, latitude, longitude, speed, track = reports
+    middle = middle or _middle(reports)
     shrink = np.cos(np.radians(middle[0]))
     east = EARTH * shrink * np.radians(wrapped_degrees(longitude - middle[1])) - radar[0]
     north = EARTH * np.radians(latitude - middle[0]) - radar[1]
@@ -128,14 +189,17 @@ def path_of(
     return Path(time - time[0], np.stack([axes[0][:, 0], axes[1][:, 0], axes[0][:, 1], axes[1][:, 1]], axis=1))
 
 
+def _middle(reports: Reports) -> tuple[float, float]:
+    return float(np.median(reports.latitude)), float(np.median(reports.longitude))
+
+
 def wrapped_degrees(angle: np.ndarray) -> np.ndarray:
     """Return angles from -180 to 180 degrees, so that a flight may cross the date line."""
     return (angle + 180) % 360 - 180
 
 
-def _flown(file: str | os.PathLike[str], start: float, duration: float) -> list[np.ndarray]:
-    """Return time, latitude, longitude, speed and track of the reports that count."""
-    table = read_table(file, REPORT)
+def _heard(table: Columns) -> Reports:
+    """Return the reports that count, their times in seconds."""
     time, latitude, longitude, speed, track = (table[name] for name in REPORT)
     silent = (np.isnan(latitude) & np.isnan(longitude)) | (np.isnan(speed) & np.isnan(track))
     for name, (low, high) in zip(REPORT, LIMITS, strict=True):
@@ -146,22 +210,21 @@ def _flown(file: str | os.PathLike[str], start: float, duration: float) -> list[
             checks.refuse(f"{table.source}: column {name!r}", f"a number between {low:g} and {high:g} in {table.place(row)}", given,
                           "Take the row out, or leave all of its position or velocity empty.", checks.FileError)  # fmt: skip
     heard = np.flatnonzero(~silent)
-    if heard.size < LEAST:
-        checks.refuse(table.source, f"at least {LEAST} reports of position and velocity", f"{heard.size} of {len(time)} rows",
-                      error=checks.FileError)  # fmt: skip
-    seconds = time[heard] / (MILLI if time[heard[0]] > LATEST else 1.0)
+    seconds = time[heard] / (MILLI if (time[heard][:1] > LATEST).any() else 1.0)
     back = np.diff(seconds) < 0
     if back.any():
         row = heard[int(np.argmax(back)) + 1]
         checks.refuse(f"{table.source}: column 'timestamp'", "times that never decrease", f"an earlier one in {table.place(row)}",
                       "Sort the rows by time.", checks.FileError)  # fmt: skip
-    seconds = seconds - seconds[0]
+    return Reports(seconds, *(column[heard] for column in (latitude, longitude, speed, track)))
+
+
+def _part(reports: Reports, first: float, start: float, duration: float) -> Reports:
+    """Return the reports of a part, their times since the first report, without those that repeat a position."""
+    seconds = reports.timestamp - first
     kept = (seconds >= start) & (seconds <= start + duration)
-    kept[1:] &= (np.diff(latitude[heard]) != 0) | (np.diff(longitude[heard]) != 0)
-    if kept.sum() < LEAST:
-        checks.refuse(f"{table.source}", f"at least {LEAST} positions from second {start:g} to {start + duration:g}",
-                      f"{kept.sum()} in a recording of {seconds[-1]:.0f} s", "Set start and duration.", checks.FileError)  # fmt: skip
-    return [seconds[kept], *(column[heard][kept] for column in (latitude, longitude, speed, track))]
+    kept[1:] &= (np.diff(reports.latitude) != 0) | (np.diff(reports.longitude) != 0)
+    return Reports(*(column[kept] for column in reports._replace(timestamp=seconds)))
 
 
 def smoothed(times: np.ndarray, position: np.ndarray, speed: np.ndarray) -> np.ndarray:

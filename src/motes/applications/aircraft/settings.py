@@ -44,6 +44,7 @@ class Settings:
     Attributes:
         data: a recording of ADS-B reports (CSV, JSON or Parquet, also gzipped) with the columns timestamp, latitude, longitude (degrees),
             groundspeed (knots) and track (degrees from north); a flight is made up where no file is named.
+        aircraft: icao24 of the one that is followed, where the recording has several.
         begin: of the part that is flown, seconds since the first report.
         duration: of that part, or of a flight that is made up, seconds.
         site: the radar.
@@ -51,6 +52,7 @@ class Settings:
     """
 
     data: str = field(default="", metadata={"path": True})
+    aircraft: str = ""
     begin: float = 0.0
     duration: float = 4800.0
     site: Site = Site()

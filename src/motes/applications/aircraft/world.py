@@ -1,10 +1,8 @@
 """A made-up flight: straight legs and turns of changing rate, reported as airliners report themselves."""
 
-from typing import NamedTuple
-
 import numpy as np
 
-from motes.applications.aircraft.scenario import EARTH, KNOT, REPORT
+from motes.applications.aircraft.scenario import EARTH, KNOT, Reports
 from motes.core import checks
 
 STEP, SPEED = 1.0, 120.0
@@ -13,19 +11,6 @@ STRAIGHT, TURN, RATE = (60.0, 240.0), (30.0, 120.0), (0.008, 0.04)
 """Shortest and longest leg and turn, seconds; slowest and fastest turn, rad/s."""
 PLACE, PLACE_SD, SPEED_SD = (50.0, 8.0), 8.0, 0.5
 """Latitude and longitude where it begins, degrees; errors of what is reported, m and m/s."""
-
-
-class Reports(NamedTuple):
-    """Reports `(r,)` by column: seconds, degrees, degrees, knots, degrees from north."""
-
-    timestamp: np.ndarray
-    latitude: np.ndarray
-    longitude: np.ndarray
-    groundspeed: np.ndarray
-    track: np.ndarray
-
-
-assert Reports._fields == REPORT
 
 
 def flown_reports(seed: int, seconds: float = 4800.0) -> Reports:

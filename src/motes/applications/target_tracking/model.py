@@ -6,6 +6,7 @@ echoes of the ground out keeps out all that closes or opens as slowly as the gro
 the range rate (Ristic, Arulampalam, Gordon 2004), and a scan without a plot speaks for an aircraft in that notch.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -95,3 +96,27 @@ def jumping(initial: Gaussian, motion: Motion, sensor: Cluttered) -> JumpMarkovM
 
     modes = (mode(0.0, motion.straight), mode(motion.rate, motion.turning), mode(-motion.rate, motion.turning))
     return JumpMarkovModel([1.0, 0.0, 0.0], transition, tuple(StateSpaceModel(initial, each, sensor, STATES) for each in modes))
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """Makes the model of a track.
+
+    Attributes:
+        radar: its numbers.
+        room: most plots of a scan, at least so many as the false ones need (`room_for`).
+        knows: see `scanned`.
+    """
+
+    radar: Radar
+    room: int
+    knows: bool = True
+
+    @property
+    def sensor(self) -> Cluttered:
+        """That of scans."""
+        return scanned(self.radar, self.room, self.knows)
+
+    def __call__(self, mean: Any, cov: Any) -> JumpMarkovModel:
+        """Return the model of a track that begins with mean `(4,)` and covariance `(4, 4)` of its states."""
+        return jumping(Gaussian(mean, cov), Motion(), self.sensor)

@@ -1,4 +1,4 @@
-"""Pictures of a target that a radar loses: the plane with the cloud, range rates, errors; and the same in motion."""
+"""Pictures of a target that a radar loses: the plane with the cloud, range rates, errors; the same in motion; and of many tracks."""
 
 from typing import Any
 
@@ -129,3 +129,67 @@ def _draw_errors(axes: Any, history: History, job: Any) -> None:
     axes.plot(job.times, job.errors(job.without), color=INERTIAL, linewidth=1.2, label="error, notch not known")
     axes.set(title="Error of the position, m; the radar is blind where it is grey", yscale="log", ylim=(10, None))
     axes.legend(loc="upper left", ncols=1, frameon=False, fontsize="small")
+
+
+def tracks_figure(history: History, job: Any) -> Any:
+    """Draw all tracks over plots and truth on the plane; beside it their existence, and when targets are there where that is known.
+
+    Args:
+        history: with `states`, `exists` and `confirmed` of the tracks.
+        job: what was run.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    figure = new_figure(12, 6)
+    knows = job.truth is not None and len(job.targets) > 0
+    axes = figure.subplot_mosaic([["plane", "exists"], ["plane", "targets"]] if knows else [["plane", "exists"]])
+    for one in axes.values():
+        tidy(one)
+    places = job.places(history) / 1e3
+    _draw_tracks(axes["plane"], places, job)
+    for track in range(places.shape[1]):
+        exists = np.where(history.kept["exists"][:, track] > 0, history.kept["exists"][:, track], np.nan)
+        axes["exists"].plot(job.times, exists, color=COLORS[track % len(COLORS)], linewidth=1.0)
+    axes["exists"].set(title="Probability that the target of a track exists", ylim=(-0.03, 1.05),
+                       xlim=(job.times[0], max(job.times[-1], job.times[0] + 1)))  # fmt: skip
+    if knows:
+        _draw_targets(axes["targets"], history, job)
+        axes["targets"].sharex(axes["exists"])
+    axes["targets" if knows else "exists"].set_xlabel("time, s")
+    legend_below(figure, axes["plane"], 4)
+    return figure
+
+
+def _draw_tracks(axes: Any, places: np.ndarray, job: Any) -> None:
+    """Draw plots, truth and tracks `(t, m, 2)`, km, each with its number where it begins."""
+    for step in range(len(job.times)):
+        axes.plot(*_places(job, step).T, ".", color="0.7", markersize=2, label="plot" if step == 0 else None, zorder=0)
+    known = np.zeros((0, 2)) if job.truth is None else np.asarray(job.truth)[..., :2] / 1e3
+    for target in range(known.shape[1] if known.ndim == 3 else 0):
+        axes.plot(*known[:, target].T, color=TRUE, linewidth=3.0, alpha=0.35, label=None if target else "truth")
+    for track in range(places.shape[1]):
+        color, began = COLORS[track % len(COLORS)], int(np.argmax(~np.isnan(places[:, track, 0])))
+        axes.plot(*places[:, track].T, color=color, linewidth=1.2, label=None if track else "track, numbered where it is confirmed")
+        axes.annotate(str(track + 1), places[began, track], color=color, fontsize="small", xytext=(3, 3), textcoords="offset points",
+                      clip_on=True)  # fmt: skip
+    axes.plot(0, 0, "^", color="tab:red", markersize=8, label="radar")
+    shown = np.concatenate([places.reshape(-1, 2), known.reshape(-1, 2), np.zeros((1, 2))])
+    shown = shown[~np.isnan(shown).any(axis=1)]
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    room = MARGIN * max(1.0, *(high - low))
+    axes.set(title="Plane, seen from the radar", xlabel="east, km", ylabel="north, km", aspect="equal",
+             xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))  # fmt: skip
+
+
+def _draw_targets(axes: Any, history: History, job: Any) -> None:
+    """Draw for each target when it is there and, in the color of its track, when it is followed."""
+    judged = job.judged(history)
+    for row, (there, tracks) in enumerate(zip(judged.there.T, judged.followers.T, strict=True)):
+        axes.plot(job.times, np.where(there, row, np.nan), color=TRUE, linewidth=6, alpha=0.25, solid_capstyle="butt")
+        for track in set(tracks[tracks >= 0].tolist()):
+            axes.plot(job.times, np.where(tracks == track, row, np.nan), color=COLORS[track % len(COLORS)], linewidth=2.5, marker=".",
+                      markersize=2)  # fmt: skip
+    some = range(0, len(job.targets), max(1, len(job.targets) // 12))
+    axes.set(title="Targets: there (broad), and followed by a track (its color)", ylim=(len(job.targets) - 0.4, -0.6), yticks=list(some),
+             yticklabels=[job.targets[row] for row in some])  # fmt: skip

@@ -1,40 +1,28 @@
-"""Scans of the user's own from a file, and the beginning of a track found among their plots."""
+"""Scans and true states of the user's own, and recorded flights along which plots are drawn."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from motes.applications.target_tracking.settings import Radar
+from motes.applications.aircraft import scenario
+from motes.applications.target_tracking.settings import Settings
+from motes.applications.target_tracking.world import World, seen
 from motes.core import checks
 from motes.io.columns import Columns
+from motes.io.files import label, look
 from motes.io.result_table import Table
-from motes.io.tables import read_table
+from motes.io.tables import column_names, read_table
 
 PLOT = ("time", "range", "azimuth", "range_rate")
 STATE = ("time", "east", "north", "v_east", "v_north")
-SCANS, SUPPORT = 5, 3
-"""A track begins where among so many scans so many have a plot on a line that an aircraft could fly (M of N)."""
-GATE = 4.0
-"""Standard deviations within which a plot supports a line."""
-MANEUVER = 2.0
-"""Acceleration that a line is allowed, m/s^2."""
+TARGET = "target"
+"""Column of the truth that tells targets apart."""
 LONGEST = 10_000
 """Scans that a file is filled up to at most."""
-
-
-class Beginning(NamedTuple):
-    """Where a track begins.
-
-    Attributes:
-        scan: number of the second of the two scans whose plots it is made of.
-        mean: east, north and velocities `(4,)` at that time.
-        cov: `(4, 4)`.
-    """
-
-    scan: int
-    mean: np.ndarray
-    cov: np.ndarray
+CATEGORIES, BLANK = (1, 20, 21, 34, 48, 62), 9
+"""First bytes of blocks of ASTERIX; below the second number no byte of a text is."""
+CAPTURES = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x0a\x0d\x0d\x0a")
+"""First bytes of captures of packets (pcap, pcapng)."""
 
 
 def read_scans(file: str, period: float) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -73,15 +61,60 @@ def read_scans(file: str, period: float) -> tuple[np.ndarray, list[np.ndarray]]:
     return start + np.array([time for time, _ in found]), [plots for _, plots in found]
 
 
-def read_truth(file: str, times: np.ndarray) -> np.ndarray:
-    """Return true states `(t, 4)` at some times, between those of a file (see `Settings.truth`); NaN beyond them.
+def read_truth(file: str, times: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+    """Return names of m targets and their true states `(t, m, 4)` at some times, between those of a file (see `Settings.truth`).
+
+    States are NaN beyond the times of a target in the file. Without the column `target` there is one, whose name is "".
 
     Raises:
-        FileError: the file cannot be used, or its times do not grow.
+        FileError: the file cannot be used, or the times of a target do not grow.
     """
-    table = read_table(file, STATE)
-    start, seconds = table.times("time", repeats=False)
-    return np.stack([np.interp(times - start, seconds, table[name], np.nan, np.nan) for name in STATE[1:]], axis=1)
+    found = {}
+    for name, table in read_table(file, STATE, (TARGET,)).by(TARGET).items():
+        start, seconds = table.times("time", repeats=False)
+        found[name] = _interpolated(times - start, seconds, np.stack([table[column] for column in STATE[1:]], axis=1))
+    return tuple(found), np.stack(list(found.values()), axis=1)
+
+
+def is_recording(file: str) -> bool:
+    """Tell a recording of ADS-B reports from a file of plots, by its columns.
+
+    Raises:
+        FileError: the file cannot be read.
+    """
+    _refuse_asterix(file)
+    return {"latitude", "longitude"} <= set(column_names(file))
+
+
+def flown_by(recording: str, settings: Settings, seed: int) -> World:
+    """Draw the plots of a radar along the flights of a recording; a target is there while it is within reach of the radar.
+
+    Args:
+        recording: of ADS-B reports; see `Settings.data`.
+        settings: of the application: radar, its site, and which part of the recording.
+        seed: of the plots.
+
+    Raises:
+        FileError: the recording cannot be used.
+        MotesError: a setting cannot be used.
+    """
+    checks.above_zero("period", settings.period)
+    checks.positive_integer("scans", settings.scans)
+    times = settings.period * np.arange(min(settings.scans, LONGEST))
+    paths = scenario.read_paths(recording, settings.begin, float(times[-1]) + settings.period, (settings.site.east, settings.site.north))
+    states = np.stack([_interpolated(times, path.times, path.states) for path in paths.values()], axis=1)
+    states[np.hypot(states[..., 0], states[..., 1]) > settings.radar.farthest] = np.nan
+    near = np.asarray(~np.isnan(states).all(axis=(0, 2)))
+    if not near.any():
+        checks.refuse("site", f"a place within {settings.radar.farthest:g} m of a flight", f"{len(paths)} flights further off",
+                      "Set site.east, site.north or radar.farthest.")  # fmt: skip
+    names = tuple(name for name, kept in zip(paths, near, strict=True) if kept)
+    return World(times, names, states[:, near], seen(np.random.default_rng(seed), states[:, near], settings.radar))
+
+
+def _interpolated(times: np.ndarray, known: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """States `(t, 4)` at some times, between those known, `(k, 4)`; NaN beyond them."""
+    return np.stack([np.interp(times, known, column, np.nan, np.nan) for column in states.T], axis=1)
 
 
 def written_scans(path: Path, times: np.ndarray, scans: list[np.ndarray]) -> None:
@@ -93,72 +126,23 @@ def written_scans(path: Path, times: np.ndarray, scans: list[np.ndarray]) -> Non
     Table(PLOT, tuple(rows)).save(path)
 
 
-def begun(times: np.ndarray, scans: list[np.ndarray], radar: Radar) -> Beginning:
-    """Find where a track begins: the first scans of which M of N have a plot on one line, by the pair of plots with most support.
-
-    Two plots say places and a velocity, which their own range rates must agree with; the other scans support it with a plot near the line.
-
-    Args:
-        times: of the scans.
-        scans: plots of each.
-        radar: its accuracy.
-
-    Raises:
-        MotesError: no scans have so many.
-    """
-    for first in range(len(scans) - SUPPORT + 1):
-        window = range(first, min(first + SCANS, len(scans)))
-        pairs = [(i, j, a, b) for i in window for j in window if i < j for a in scans[i] for b in scans[j]]
-        if not pairs:
-            continue
-        best, support, distance = None, 0, 0.0
-        for i, j, a, b in pairs:
-            mean, cov = _line(a, b, times[j] - times[i], radar)
-            if np.hypot(*mean[2:]) > radar.fastest or not _agree(a, b, mean, cov, times[j] - times[i], radar):
-                continue
-            squares = [_off(mean, cov, times[k] - times[j], scans[k], radar) for k in window if k not in (i, j)]
-            near = [square for square in squares if square < GATE**2]
-            if (2 + len(near), -sum(near)) > (support, -distance):
-                best, support, distance = Beginning(j, mean, cov), 2 + len(near), sum(near)
-        if best is not None and support >= SUPPORT:
-            return best
-    checks.refuse("data", f"{SUPPORT} of {SCANS} scans with plots on a line that an aircraft could fly", f"none in {len(scans)} scans",
-                  "Look at the numbers of the radar: range and range rate in meters, azimuth in degrees from north.")
+def written_truth(path: Path, world: World) -> None:
+    """Write true states as `read_truth` reads them; the column of targets is left out where there is one."""
+    several = len(world.names) > 1
+    rows = [(float(time), *state, *[name] * several)
+            for name, states in zip(world.names, np.moveaxis(world.states, 1, 0), strict=True)
+            for time, state in zip(world.times, states.tolist(), strict=True) if not np.isnan(state).any()]  # fmt: skip
+    Table((*STATE, *[TARGET] * several), tuple(rows)).save(path)
 
 
-def _placed(plot: np.ndarray, radar: Radar) -> tuple[np.ndarray, np.ndarray]:
-    """East and north of a plot, and their covariance."""
-    distance, azimuth = plot[:2]
-    turn = np.array([[np.cos(azimuth), -np.sin(azimuth)], [np.sin(azimuth), np.cos(azimuth)]])
-    return distance * turn[:, 0], turn @ np.diag([radar.distance**2, (radar.azimuth * distance) ** 2]) @ turn.T
-
-
-def _line(a: np.ndarray, b: np.ndarray, apart: float, radar: Radar) -> tuple[np.ndarray, np.ndarray]:
-    """State at the second of two plots, and its covariance; maneuvers between them widen that of the velocity."""
-    (before, cov_a), (place, cov_b) = _placed(a, radar), _placed(b, radar)
-    wide = (cov_a + cov_b) / apart**2 + (0.5 * MANEUVER * apart) ** 2 * np.eye(2)
-    return np.concatenate([place, (place - before) / apart]), np.block([[cov_b, cov_b / apart], [cov_b / apart, wide]])
-
-
-def _agree(a: np.ndarray, b: np.ndarray, mean: np.ndarray, cov: np.ndarray, apart: float, radar: Radar) -> bool:
-    """Tell whether the range rates of two plots are those of the velocity between their places."""
-    for plot in (a, b):
-        along = np.array([np.cos(plot[1]), np.sin(plot[1])])
-        spread = np.sqrt(along @ cov[2:, 2:] @ along + radar.rate**2)
-        if abs(along @ mean[2:] - plot[2]) > GATE * spread:
-            return False
-    return True
-
-
-def _off(mean: np.ndarray, cov: np.ndarray, ahead: float, plots: np.ndarray, radar: Radar) -> float:
-    """Least squared distance of the plots of a scan from a line, in standard deviations; infinite without plots."""
-    F = np.block([[np.eye(2), ahead * np.eye(2)], [np.zeros((2, 2)), np.eye(2)]])
-    place, wide = (F @ mean)[:2], (F @ cov @ F.T)[:2, :2] + (0.5 * MANEUVER * ahead**2) ** 2 * np.eye(2)
-    squares = [np.inf]
-    for plot in plots:
-        at, own = _placed(plot, radar)
-        squares.append(float((at - place) @ np.linalg.solve(wide + own, at - place)))
-    return min(squares)
+def _refuse_asterix(file: str) -> None:
+    """Refuse plots as radars send them, by the first bytes: a data block of ASTERIX (category, length), or a capture of packets."""
+    _, start = look(file, 4)
+    if start in CAPTURES or start[0] in CATEGORIES and len(start) > 2 and start[1] < BLANK:
+        checks.refuse(label(file), "a table of plots", "ASTERIX or a capture of packets",
+                      "Decode it (such as pip install asterix_decoder, import asterix) and write CSV with the columns time (s), range (m; "
+                      "NM times 1852), azimuth (degrees from north) and range_rate (m/s): of category 48 I140, I040 and I120.",
+                      checks.FileError)  # fmt: skip
 
 
 def _refuse_rows(table: Columns, bad: np.ndarray, name: str, expected: str, hint: str) -> None:

@@ -1,4 +1,7 @@
-"""A made-up flight into the notch: inbound, a turn across the line of sight, a leg there until the radar has lost it, a turn out."""
+"""Flights into the notch that are made up, and the plots that a radar has of these or of recorded flights.
+
+Each goes inbound, turns across the line of sight, flies there until the radar has lost it, and turns out.
+"""
 
 from typing import NamedTuple
 
@@ -15,6 +18,12 @@ CLOSING = 20.0
 """Range rate at which the turn across ends: still closing by so much, m/s."""
 FINE = 20
 """Steps of the flight between two scans."""
+APPEARS, ENDS = (0.0, 0.3), (0.8, 1.0)
+"""When one of several flights appears and when it ends at the earliest and at the latest, as shares of all scans."""
+
+
+MOST = 100
+"""Flights that are made up at most."""
 
 
 class World(NamedTuple):
@@ -22,11 +31,13 @@ class World(NamedTuple):
 
     Attributes:
         times: of the scans, s, `(t,)`.
-        states: true states `(t, 4)`.
+        names: of the m targets.
+        states: true states `(t, m, 4)`, NaN where a target is not there.
         scans: plots of range, azimuth (from east) and range rate `(m, 3)` of each scan.
     """
 
     times: np.ndarray
+    names: tuple[str, ...]
     states: np.ndarray
     scans: list[np.ndarray]
 
@@ -62,14 +73,15 @@ def flown(generator: np.random.Generator, scans: int, period: float) -> np.ndarr
     return np.array(states)
 
 
-def made_up(seed: int, scans: int, period: float, radar: Radar) -> World:
-    """Make a flight up, and the scans of a radar.
+def made_up(seed: int, scans: int, period: float, radar: Radar, targets: int = 1) -> World:
+    """Make flights up, and the scans of a radar. A single one is there from the first scan to the last; several come and go.
 
     Args:
         seed: of both.
         scans: how many, at least 10.
         period: seconds between them.
         radar: its numbers.
+        targets: number of flights.
 
     Raises:
         MotesError: there are fewer, or the period is no time.
@@ -77,16 +89,37 @@ def made_up(seed: int, scans: int, period: float, radar: Radar) -> World:
     if not scans >= 10:
         checks.refuse("scans", "at least 10", scans)
     checks.above_zero("period", period, 10.0)
+    if not 0 <= targets <= MOST:
+        checks.refuse("targets", f"a number from 0 to {MOST}", targets)
     generator = np.random.default_rng(seed)
-    states = flown(generator, scans, period)
-    distance, rate = np.hypot(*states[:, :2].T), range_rate(states)
-    seen = generator.random(scans) < radar.detection / (1 + np.exp(-(np.abs(rate) - radar.notch) / radar.edge))
-    noise = generator.standard_normal((scans, 3)) * [radar.distance, radar.azimuth, radar.rate]
-    own = np.stack([distance, np.arctan2(states[:, 1], states[:, 0]), rate], axis=1) + noise
-    own[:, 1] = (own[:, 1] + np.pi) % (2 * np.pi) - np.pi
+    states = np.full((scans, targets, 4), np.nan)
+    for target in range(targets):
+        flight = flown(generator, scans, period)
+        begin, end = (round(scans * generator.uniform(*share)) for share in (APPEARS, ENDS)) if targets > 1 else (0, scans)
+        states[begin:end, target] = flight[: end - begin]
+    names = tuple(str(target + 1) for target in range(targets))
+    times = period * np.arange(scans)
+    return World(times, names, states, seen(generator, states, radar))
+
+
+def seen(generator: np.random.Generator, states: np.ndarray, radar: Radar) -> list[np.ndarray]:
+    """Draw the scans of a radar, in which the plots of targets come at any place among false ones.
+
+    Args:
+        generator: of random numbers.
+        states: true states `(t, m, 4)`, NaN where a target is not there.
+        radar: its numbers; it sees nothing further off than `farthest`.
+    """
+    scans, targets = states.shape[:2]
+    distance, rate = np.hypot(states[..., 0], states[..., 1]), range_rate(states)
+    chances = radar.detection / (1 + np.exp(-(np.abs(rate) - radar.notch) / radar.edge))
+    heard = (generator.random((scans, targets)) < chances) & (distance < radar.farthest)
+    noise = generator.standard_normal((scans, targets, 3)) * [radar.distance, radar.azimuth, radar.rate]
+    own = np.stack([distance, np.arctan2(states[..., 1], states[..., 0]), rate], axis=-1) + noise
+    own[..., 1] = (own[..., 1] + np.pi) % (2 * np.pi) - np.pi
     found = []
-    for step in range(scans):
+    for plots, there in zip(own, heard, strict=True):
         count = generator.poisson(radar.false)
         false = generator.uniform([0, -np.pi, -radar.fastest], [radar.farthest, np.pi, radar.fastest], (count, 3))
-        found.append(generator.permutation(np.concatenate([own[step : step + 1], false]) if seen[step] else false))
-    return World(period * np.arange(scans), states, found)
+        found.append(generator.permutation(np.concatenate([plots[there], false])))
+    return found
