@@ -32,10 +32,7 @@ def solved(graph, path, places, errors, steps=25):
 
     for _ in range(steps):
         poses, marks, (drift, share) = at[: 3 * count].reshape(-1, 3), at[3 * count : -2].reshape(-1, 2), at[-2:]
-        rows, columns, values, residuals, base = [], [], [], [], 0
-
-        def add(row, column, value):
-            rows.append(row + base), columns.append(np.broadcast_to(column, row.shape)), values.append(np.broadcast_to(value, row.shape))
+        entries, residuals, base = [], [], 0
 
         # odometry: seen from the pose before
         apart = turned(poses[1:, :2] - poses[:-1, :2], poses[:-1, 2])
@@ -44,11 +41,11 @@ def solved(graph, path, places, errors, steps=25):
         c, s = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
         for component, (by_x, by_y, by_turn) in enumerate(((c, s, apart.imag), (-s, c, -apart.real))):
             for place, sign in ((3 * (i + 1), 1), (3 * i, -1)):
-                add(3 * i + component, place, sign * by_x / sds[component])
-                add(3 * i + component, place + 1, sign * by_y / sds[component])
-            add(3 * i + component, 3 * i + 2, by_turn / sds[component])
+                entries.append((base, 3 * i + component, place, sign * by_x / sds[component]))
+                entries.append((base, 3 * i + component, place + 1, sign * by_y / sds[component]))
+            entries.append((base, 3 * i + component, 3 * i + 2, by_turn / sds[component]))
         for place, value in ((3 * (i + 1) + 2, 1.0), (3 * i + 2, -1.0), (len(at) - 2, -way), (len(at) - 1, -moved[:, 2])):
-            add(3 * i + 2, place, value / sds[2])
+            entries.append((base, 3 * i + 2, place, value / sds[2]))
         residuals.append(rest.ravel())
         base += 3 * (count - 1)
         # sightings, those that fit badly count little (Cauchy)
@@ -58,15 +55,17 @@ def solved(graph, path, places, errors, steps=25):
         c, s, j = np.cos(poses[pose, 2]), np.sin(poses[pose, 2]), np.arange(len(pose))
         for component, (by_x, by_y, by_turn) in enumerate(((c, s, apart.imag), (-s, c, -apart.real))):
             for place, sign in ((3 * count + 2 * seen, 1), (3 * pose, -1)):
-                add(2 * j + component, place, sign * by_x * weight / numbers.PLACE_SD)
-                add(2 * j + component, place + 1, sign * by_y * weight / numbers.PLACE_SD)
-            add(2 * j + component, 3 * pose + 2, by_turn * weight / numbers.PLACE_SD)
+                entries.append((base, 2 * j + component, place, sign * by_x * weight / numbers.PLACE_SD))
+                entries.append((base, 2 * j + component, place + 1, sign * by_y * weight / numbers.PLACE_SD))
+            entries.append((base, 2 * j + component, 3 * pose + 2, by_turn * weight / numbers.PLACE_SD))
         residuals.append((rest * weight[:, None]).ravel())
         base += 2 * len(pose)
-        add(np.arange(5), first, 1 / priors)
+        entries.append((base, np.arange(5), first, 1 / priors))
         residuals.append(at[first] / priors)
         base += 5
-        J = coo_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (base, len(at))).tocsc()
+        whole = [np.broadcast_arrays(row + before, column, value) for before, row, column, value in entries]
+        rows, columns, values = (np.concatenate(part) for part in zip(*whole, strict=True))
+        J = coo_matrix((values, (rows, columns)), (base, len(at))).tocsc()
         step = spsolve(J.T @ J, -J.T @ np.concatenate(residuals))
         at = at + step
         if np.abs(step).max() < 1e-6:

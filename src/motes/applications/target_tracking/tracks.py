@@ -28,6 +28,7 @@ from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.setup import setup
 from motes.laws.observed import Observed
+from motes.tracing.compiling import jitted
 
 BEGINS, CONFIRMED, ENDS = 0.2, 0.99, 0.01
 """Existence of a track that begins, above which it is confirmed for good, and below which it ends."""
@@ -175,19 +176,19 @@ class Follower(NamedTuple):
         return tracks._replace(carries=carries, **filled)
 
 
-@partial(jax.jit, static_argnums=2)
+@partial(jitted, static_argnums=2)
 def _started(key: jax.Array, filter: Filter, tracker: Any, y: Observed, number: Any, mean: Any, cov: Any) -> Carry:
     """What the filter of a track hands to its first step."""
     u = {"dt": jnp.zeros(())}
     return setup(random.step_key(key, number), filter, tracker(mean, cov), u, y).start(u, y)
 
 
-@partial(jax.jit, static_argnums=4)
+@partial(jitted, static_argnums=4)
 def _put(carries: Carry, slot: Any, key: jax.Array, filter: Filter, tracker: Any, *track: Any) -> Carry:
     return jax.tree.map(lambda every, one: every.at[slot].set(one), carries, _started(key, filter, tracker, *track))
 
 
-@partial(jax.jit, static_argnums=2)
+@partial(jitted, static_argnums=2)
 def _advanced(key: jax.Array, filter: Filter, tracker: Any, slots: Any, y: Observed, u: Any) -> tuple[Any, ...]:
     """Filter a scan; of slots what is handed on, number and existence are given.
 
