@@ -275,13 +275,16 @@ def test_scans_hold_the_aircrafts_plots_among_false_ones():
 @pytest.mark.parametrize(("file", "begin", "duration", "steps"), [("belevingsvlucht.csv", 556.0, 4800.0, 1600),
                                                                   ("noisy_landing.json.gz", 0.0, 4800.0, 260)])  # fmt: skip
 def test_flights_are_kept_among_twenty_false_plots(file, begin, duration, steps):
-    """Detection 0.8: none of 20 runs lost, hardly less accurate than without false plots."""
+    """Detection 0.8: none of 20 runs lost, hardly less accurate than without false plots.
+
+    With 200 particles one run in 20 is 1 066 m off at one plot, after a turn that two scans in a row did not see, and back at the next.
+    """
     path = scenario.read_path(recorded(f"aircraft/adsb/{file}"), begin, duration)
     tracks = [scenario.track(path, seed, steps, CLUTTERED) for seed in range(SEEDS)]
 
     def one(row):
         key, track = row
-        filter = mo.JumpMarkovFilter(n=200, sampled=("turn",))
+        filter = mo.JumpMarkovFilter(n=400, sampled=("turn",))
         history = mo.run(key, filter, jumping(track.start, Flight(), CLUTTERED), track.ys, track.dt, keep=mo.keep.means)
         return scenario.score(history.mean, track)
 

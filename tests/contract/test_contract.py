@@ -6,7 +6,7 @@ from functools import lru_cache
 import jax
 import numpy as np
 import pytest
-from discovery import PARAMETERS, example, examples, filter_classes, first_of_kinds, shares_stages, smoother_classes
+from discovery import MAPS, PARAMETERS, example, examples, filter_classes, first_of_kinds, shares_stages, smoother_classes
 
 import motes as mo
 from motes.core.record import values
@@ -85,7 +85,7 @@ def test_every_filter_and_smoother_is_found_and_documented():
     assert kinds == set(found) - {"SkeletonFilter"}
     assert all(cls.__doc__ for cls in found.values())
     assert all(cls.__module__ and all(cls.guide) for cls in filter_classes().values())
-    assert CLASSES == set(filter_classes())
+    assert CLASSES | {MAPS} == set(filter_classes())
 
 
 def test_what_is_asked_by_day_names_rules():

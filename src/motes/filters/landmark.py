@@ -9,7 +9,8 @@ Landmarks are independent of each other given the path, so that each particle ha
    to it.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,7 @@ from motes.laws.conditional import AdditiveGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.map_cloud import Map, MapCloud
 from motes.laws.marginal_cloud import MarginalCloud
-from motes.laws.sightings import Sighting
+from motes.laws.sightings import NONE, Sighting
 from motes.models.map_model import MapModel
 from motes.models.mixed_linear import MixedLinearModel, initial_split
 from motes.models.split import SplitModel, split
@@ -33,6 +34,7 @@ from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import ESS, Policy, resample
 from motes.resampling.schemes import Scheme, Systematic
 
+C = TypeVar("C")
 SURE = 0.9
 """Share that one Gaussian of a landmark must have for its sighting to move particles."""
 
@@ -80,9 +82,9 @@ class LandmarkFilter(LookAheadFilter, TwoStageFilter):
     and mapping that provably converges.
 
     Example:
-        >>> drive = mo.AdditiveGaussian(lambda x, u, t: x + jnp.array([0.1, 0.0]), 1e-4 * jnp.eye(2))
-        >>> model = mo.MapModel(mo.Gaussian([0.0, 0.0], 1e-6 * jnp.eye(2)), drive, lambda x, l, u, t: l - x, 0.01 * jnp.eye(2),
-        ...                     birth=lambda x, z: mo.Gaussian(x + z, 0.01 * jnp.eye(2)), landmarks=3)
+        >>> start, drive = mo.Gaussian([0.0, 0.0], 1e-6 * jnp.eye(2)), mo.AdditiveGaussian(lambda x, u, t: x + 0.1, 1e-4 * jnp.eye(2))
+        >>> seen, born, noise = lambda x, l, u, t: l - x, lambda x, z: mo.Gaussian(x + z, 0.01 * jnp.eye(2)), 0.01 * jnp.eye(2)
+        >>> model = mo.MapModel(start, drive, seen, noise, birth=born, landmarks=3)
         >>> xs, ys = mo.simulate(0, model.among([[1.0, 2.0], [3.0, -1.0], [5.0, 1.0]]), 50)
         >>> mo.run(1, mo.LandmarkFilter(n=100), model, ys).mean.shape
         (50, 2)
@@ -194,12 +196,25 @@ def _taken_in(model: Prepared, cloud: MapCloud, y: Any, u: Any, t: Any) -> Sight
     states = model.path.whole(cloud.path.particles)
     nothing = jnp.zeros(cloud.log_weights.shape, cloud.log_weights.dtype)
 
-    def one(place: jax.Array, before: Sighted) -> Sighted:
-        z = jnp.asarray(seen.z)[place].astype(states.dtype)
-        landmark = _nearest(model.map, before.map, states, z, u, t) if seen.landmark is None else jnp.asarray(seen.landmark)[place]
-        return _sighted(model.map, before, states, landmark, z, u, t)
+    def one(before: Sighted, there: jax.Array, landmark: Any, z: jax.Array) -> Sighted:
+        z = z.astype(states.dtype)
+        if landmark is None:
+            nowhere = jnp.full(nothing.shape, NONE, jnp.int32)
+            landmark = jax.lax.cond(there, lambda: _nearest(model.map, before.map, states, z, u, t), lambda: nowhere)
+        index = jnp.maximum(landmark, 0)
+        before_it = before.map.of(index)
+        # what is chosen here is one landmark: maps are too large to be copied for each sighting
+        after, weight, most = jax.lax.cond(there, lambda: _sighted(model.map, before_it, states, landmark, z, u, t),
+                                           lambda: (before_it, nothing, nothing))  # fmt: skip
+        return Sighted(before.map.with_one(index, after), before.log_likelihood + weight, before.most + most)
 
-    return jax.lax.fori_loop(0, seen.count, one, Sighted(cloud.map, nothing, nothing))
+    return _each(seen, one, Sighted(cloud.map, nothing, nothing))
+
+
+def _each(seen: Sighting, one: Callable[[C, jax.Array, Any, jax.Array], C], first: C) -> C:
+    """Go through sightings: `one` gets what it gave before, whether one is there, a landmark's number and a measurement."""
+    there = jnp.arange(seen.z.shape[0]) < seen.count
+    return jax.lax.scan(lambda before, now: (one(before, *now), None), first, (there, seen.landmark, jnp.asarray(seen.z)))[0]
 
 
 def _of_each_gaussian(model: MapModel, one: Map, states: jax.Array, z: jax.Array, u: Any, t: Any) -> tuple[Map, jax.Array, jax.Array]:
@@ -212,11 +227,11 @@ def _of_each_gaussian(model: MapModel, one: Map, states: jax.Array, z: jax.Array
     return Map(centers, covs, one.log_shares + log_evidence, one.seen), log_evidence, most
 
 
-def _sighted(model: MapModel, before: Sighted, states: jax.Array, landmark: jax.Array, z: jax.Array, u: Any, t: Any) -> Sighted:
-    """Take in one sighting."""
+def _sighted(
+    model: MapModel, one: Map, states: jax.Array, landmark: jax.Array, z: jax.Array, u: Any, t: Any
+) -> tuple[Map, jax.Array, jax.Array]:
+    """Take in one sighting of a landmark; gives it, the log likelihood of each particle and the largest it could be, `(n,)`."""
     known = landmark >= 0
-    index = jnp.maximum(landmark, 0)
-    one = before.map.of(index)
     corrected, log_evidence, most = _of_each_gaussian(model, one, states, z, u, t)
     total = jax.nn.logsumexp(corrected.log_shares, axis=0)
     near = jnp.min(2 * (most - log_evidence), axis=0) <= model.sensor.limit
@@ -224,14 +239,14 @@ def _sighted(model: MapModel, before: Sighted, states: jax.Array, landmark: jax.
     centers, covs, log_shares = jax.vmap(model.born, in_axes=(-1, None), out_axes=-1)(states, z)
     born = Map(centers, covs, log_shares, jnp.ones_like(one.seen))
     # without outliers a sighting is of its landmark however far it is
-    taken = one.seen & (near | ~(jnp.asarray(model.sensor.share) > 0))
+    taken = one.seen & (near | (model.sensor.share is None))
     after = Map(*(jnp.where(known & taken, new, jnp.where(known & ~one.seen, first, old))
                   for new, first, old in zip(corrected, born, one, strict=True)))  # fmt: skip
     # a sighting of no landmark is of nothing
-    of_new, of_nothing = jnp.zeros(()) if known.ndim == 0 else _unseen(model), model.sensor.among_outliers(jnp.full((), -jnp.inf))
+    of_new, of_nothing = jnp.zeros_like(total) if known.ndim == 0 else _unseen(model), model.sensor.of_nothing
     weight = jnp.where(known & one.seen, model.sensor.among_outliers(total), jnp.where(known, of_new, of_nothing))
     highest = jnp.where(known & one.seen, model.sensor.among_outliers(jnp.max(most, axis=0)), weight)
-    return Sighted(before.map.with_one(index, after), before.log_likelihood + weight, before.most + highest)
+    return after, weight.astype(total.dtype), highest.astype(total.dtype)
 
 
 def _unseen(model: MapModel) -> jax.Array:
@@ -261,9 +276,12 @@ def _informed(model: Prepared, landmarks: Map, expected: Gaussian, y: Any, u: An
     wide = jnp.broadcast_to(wide[..., None], (*wide.shape, expected.center.shape[1])) if wide.ndim == 2 else wide
     kept = jnp.array([i for i in range(model.map.size) if i not in model.map.linear], int)
 
-    def one(place: jax.Array, law: Gaussian) -> Gaussian:
-        z, states = jnp.asarray(seen.z)[place].astype(law.center.dtype), model.path.whole(law.center)
-        index = _nearest(model.map, landmarks, states, z, u, t) if seen.landmark is None else jnp.asarray(seen.landmark)[place]
+    def one(law: Gaussian, there: jax.Array, landmark: Any, z: jax.Array) -> Gaussian:
+        return jax.lax.cond(there, lambda: informed(law, landmark, z), lambda: law)
+
+    def informed(law: Gaussian, landmark: Any, z: jax.Array) -> Gaussian:
+        z, states = z.astype(law.center.dtype), model.path.whole(law.center)
+        index = _nearest(model.map, landmarks, states, z, u, t) if landmark is None else landmark
         found = landmarks.of(jnp.maximum(index, 0))
         best = jnp.argmax(found.log_shares, axis=0)
         center, cov, log_share = (jnp.take_along_axis(part, best.reshape(1, *[1] * (part.ndim - 2), -1), 0)[0] for part in found[:3])
@@ -273,4 +291,4 @@ def _informed(model: Prepared, landmarks: Map, expected: Gaussian, y: Any, u: An
         usable = (index >= 0) & found.seen & (jnp.exp(log_share) > SURE) & (2 * (done.max_log_evidence - done.log_evidence) <= sensor.limit)
         return Gaussian(jnp.where(usable, done.law.center, law.center), jnp.where(usable, done.law.covariance, law.covariance))
 
-    return jax.lax.fori_loop(0, seen.count, one, Gaussian(expected.center, wide)) if own else expected
+    return _each(seen, one, Gaussian(expected.center, wide)) if own else expected

@@ -82,7 +82,7 @@ class LandmarkSensor:
     Attributes:
         function: `(x, l, u, t)` of one state and one landmark `(d,)` returns the expected measurement `(m,)`.
         noise: covariance of its error, `(m, m)`.
-        share: of sightings that are of nothing.
+        share: of sightings that are of nothing; None where none are.
         density: of such, per unit of measurement space.
         limit: squared distance, in standard deviations, beyond which a sighting is not of a landmark.
         angles: components that are angles in radians.
@@ -122,7 +122,12 @@ class LandmarkSensor:
 
     def among_outliers(self, log_likelihood: jax.Array) -> jax.Array:
         """Return log likelihoods when a share of sightings is of nothing."""
-        return jnp.logaddexp(jnp.log1p(-self.share) + log_likelihood, jnp.log(self.share) + jnp.log(self.density))
+        return log_likelihood if self.share is None else jnp.logaddexp(jnp.log1p(-self.share) + log_likelihood, self.of_nothing)
+
+    @property
+    def of_nothing(self) -> jax.Array:
+        """Log likelihood of a sighting that is of no landmark."""
+        return jnp.full((), -jnp.inf) if self.share is None else jnp.log(self.share) + jnp.log(self.density)
 
 
 @record

@@ -30,9 +30,9 @@ class MapModel(Model):
     Source: Montemerlo, Thrun 2007, FastSLAM: A Scalable Method for the Simultaneous Localization and Mapping Problem in Robotics.
 
     Example:
-        >>> drive = mo.AdditiveGaussian(lambda x, u, t: x + jnp.array([0.1, 0.0]), 1e-4 * jnp.eye(2))
-        >>> model = mo.MapModel(mo.Gaussian([0.0, 0.0], 1e-6 * jnp.eye(2)), drive, lambda x, l, u, t: l - x, 0.01 * jnp.eye(2),
-        ...                     birth=lambda x, z: mo.Gaussian(x + z, 0.01 * jnp.eye(2)), landmarks=3, names=("px", "py"))
+        >>> start, drive = mo.Gaussian([0.0, 0.0], 1e-6 * jnp.eye(2)), mo.AdditiveGaussian(lambda x, u, t: x + 0.1, 1e-4 * jnp.eye(2))
+        >>> seen, born, noise = lambda x, l, u, t: l - x, lambda x, z: mo.Gaussian(x + z, 0.01 * jnp.eye(2)), 0.01 * jnp.eye(2)
+        >>> model = mo.MapModel(start, drive, seen, noise, birth=born, landmarks=3)
         >>> xs, ys = mo.simulate(0, model.among([[1.0, 2.0], [3.0, -1.0], [5.0, 1.0]]), 50)
         >>> mo.run(1, mo.LandmarkFilter(n=100), model, ys).state.landmarks().mean.shape
         (3, 2)
@@ -87,7 +87,7 @@ class MapModel(Model):
         checks.covariance("MapModel noise", noise, jnp.shape(noise)[0] if jnp.ndim(noise) == 2 else 0, definite=True)
         checks.positive_integer("MapModel landmarks", landmarks)
         checks.above_zero("MapModel limit", limit)
-        share, density = (0.0, 1.0) if outliers is None else outliers
+        share, density = (None, 1.0) if outliers is None else outliers
         if outliers is not None:
             checks.probability("MapModel outliers share", share)
             checks.above_zero("MapModel outliers density", density)
