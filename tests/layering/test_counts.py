@@ -11,6 +11,7 @@ ELSEWHERE = {
     "core/sums.py": "over blocks of particles",
     "costs/calibration.py": "repeats a product of matrices that is timed",
     "filters/alarm.py": "over all steps at once, in log2(t) rounds",
+    "filters/landmark.py": "over the sightings of one step, and the landmarks of a map",
     "filters/parallel.py": "over all steps at once, in log2(t) rounds",
     "gaussian/association.py": "over the targets of one scan",
     "laws/association.py": "over the plots of one scan, and rounds of messages",

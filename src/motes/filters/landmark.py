@@ -15,20 +15,18 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, logspace, random
+from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.filters.clouds import resample_and_move
 from motes.filters.info import Info, weigh
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of
-from motes.filters.marginalized import moved
+from motes.filters.marginal_moves import first_particles, moved
 from motes.laws.conditional import AdditiveGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.map_cloud import Map, MapCloud
-from motes.laws.marginal_cloud import MarginalCloud
 from motes.laws.sightings import NONE, Sighting
 from motes.models.map_model import MapModel
-from motes.models.mixed_linear import MixedLinearModel, initial_split
 from motes.models.split import SplitModel, split
 from motes.models.state_space import StateSpaceModel
 from motes.resampling.policy import ESS, Policy, resample
@@ -139,12 +137,7 @@ class LandmarkFilter(LookAheadFilter, TwoStageFilter):
 
     def init(self, key: jax.Array, model: Prepared) -> MapCloud:
         """Draw n particles, each with an empty map."""
-        mixed: MixedLinearModel = model.path.mixed
-        x_p, means = initial_split(key, mixed.initial_p, mixed.initial_k, mixed.initial_gain, self.n)
-        cov = mixed.initial_k.covariance
-        cov = jnp.broadcast_to(cov[..., None], (*cov.shape, self.n)) if model.path.per_particle else cov
-        equal = logspace.uniform_weights(self.n, means.dtype)
-        path = MarginalCloud(x_p, Gaussian(means, cov), equal, jnp.arange(self.n, dtype=jnp.int32), mixed.order)
+        path = first_particles(key, model.path, self.n)
         return MapCloud(path, Map.empty(model.map.landmarks, model.map.form, self.n))
 
     def predict(self, key: jax.Array, model: Prepared, state: MapCloud, u: Any, t: Any) -> MapCloud:
@@ -208,10 +201,10 @@ def _taken_in(model: Prepared, cloud: MapCloud, y: Any, u: Any, t: Any) -> Sight
                                            lambda: (before_it, nothing, nothing))  # fmt: skip
         return Sighted(before.map.with_one(index, after), before.log_likelihood + weight, before.most + most)
 
-    return _each(seen, one, Sighted(cloud.map, nothing, nothing))
+    return _over_sightings(seen, one, Sighted(cloud.map, nothing, nothing))
 
 
-def _each(seen: Sighting, one: Callable[[C, jax.Array, Any, jax.Array], C], first: C) -> C:
+def _over_sightings(seen: Sighting, one: Callable[[C, jax.Array, Any, jax.Array], C], first: C) -> C:
     """Go through sightings: `one` gets what it gave before, whether one is there, a landmark's number and a measurement."""
     there = jnp.arange(seen.z.shape[0]) < seen.count
     return jax.lax.scan(lambda before, now: (one(before, *now), None), first, (there, seen.landmark, jnp.asarray(seen.z)))[0]
@@ -291,4 +284,4 @@ def _informed(model: Prepared, landmarks: Map, expected: Gaussian, y: Any, u: An
         usable = (index >= 0) & found.seen & (jnp.exp(log_share) > SURE) & (2 * (done.max_log_evidence - done.log_evidence) <= sensor.limit)
         return Gaussian(jnp.where(usable, done.law.center, law.center), jnp.where(usable, done.law.covariance, law.covariance))
 
-    return _each(seen, one, Gaussian(expected.center, wide)) if own else expected
+    return _over_sightings(seen, one, Gaussian(expected.center, wide)) if own else expected

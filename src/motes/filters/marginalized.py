@@ -12,13 +12,11 @@ covariance P.
 The paper begins with step 4. Where nothing in the covariance recursion depends on the particle, one P serves all.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
-from motes.core import checks, linalg, logspace, random
+from motes.core import checks, linalg, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.alarm import Innovation
@@ -26,12 +24,12 @@ from motes.filters.clouds import resample_and_move, update_weights
 from motes.filters.gated import Gated
 from motes.filters.info import Info, with_innovation
 from motes.filters.interface import Guide, TwoStageFilter
+from motes.filters.marginal_moves import first_particles, moved
 from motes.filters.sharp import ask_noise
-from motes.laws.circular import near, wrap
+from motes.laws.circular import wrap
 from motes.laws.density import measured_in
 from motes.laws.gaussian import Gaussian
 from motes.laws.marginal_cloud import MarginalCloud
-from motes.models.mixed_linear import Affine, MixedLinearModel, initial_split
 from motes.models.split import SplitModel, split
 from motes.resampling.kernels import Regularization
 from motes.resampling.policy import ESS, Policy
@@ -101,13 +99,7 @@ class MarginalizedParticleFilter(Gated, TwoStageFilter):
 
     def init(self, key: jax.Array, model: SplitModel) -> MarginalCloud:
         """Draw n particles of x_p, each with the Gaussian of x_k given it."""
-        mixed: MixedLinearModel = model.mixed
-        x_p, means = initial_split(key, mixed.initial_p, mixed.initial_k, mixed.initial_gain, self.n)
-        cov = mixed.initial_k.covariance
-        if model.per_particle:
-            cov = jnp.broadcast_to(cov[..., None], (*cov.shape, self.n))
-        equal = logspace.uniform_weights(self.n, means.dtype)
-        return MarginalCloud(x_p, Gaussian(means, cov), equal, jnp.arange(self.n, dtype=jnp.int32), mixed.order)
+        return first_particles(key, model, self.n)
 
     def predict(self, key: jax.Array, model: SplitModel, state: MarginalCloud, u: Any, t: Any) -> MarginalCloud:
         """Resample where needed, move the particles, then correct and predict the Kalman part (steps 1 to 3)."""
@@ -155,59 +147,6 @@ def _innovation(key: jax.Array, model: SplitModel, state: MarginalCloud, y: jax.
     h, C, R = model.over("sensor", particles, particles[:, 0], u, t)
     predicted = Gaussian(state.kalman.center[:, some], cov[..., some] if cov.ndim == 3 else cov).through(C, h, R)
     return alarm.of_mixture(model.mixed.angles, predicted.center, predicted.covariance, log_weights, y)
-
-
-def moved(  # noqa: PLR0913 (a step of a filter, and how places are drawn)
-    key: jax.Array, model: SplitModel, cloud: MarginalCloud, example: jax.Array, u: Any, t: Any, first: jax.Array | None = None,
-    drawn: Callable[[jax.Array, Gaussian], jax.Array] | None = None,
-) -> MarginalCloud:  # fmt: skip
-    """Move the particles, then correct and predict their Gaussians (steps 2 and 3).
-
-    Args:
-        key: of the noise.
-        model: split.
-        cloud: what is moved.
-        example: a particle `(p,)`, for what is the same for all.
-        u: inputs of the step.
-        t: its number.
-        first: where the first particle goes `(p,)`, for conditional sequential Monte Carlo; None draws it like the others.
-        drawn: gives of a key and the Gaussians of what is to come how far each goes from its mean `(p, n)`; None draws from them.
-    """
-    drawn = _offsets if drawn is None else drawn
-    of_p, of_k = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
-    angles = tuple(place for place in model.places if place < of_p.f.shape[0])
-    if model.drives:
-        # 2. draw x_p' with the spread of x_k; 3. correct the Gaussians by it
-        expected = cloud.kalman.through(of_p.A, of_p.f, of_p.Q)
-        offset = drawn(key, expected)
-        if first is not None:
-            offset = offset.at[:, 0].set(wrap(first - expected.center[:, 0], angles))
-        informed, x_p = cloud.kalman.corrected(offset, of_p.A, of_p.Q).law, expected.center + offset
-    else:
-        # 2. draw x_p', which tells nothing of x_k
-        informed, x_p = cloud.kalman, of_p.f + drawn(key, Gaussian(of_p.f, of_p.Q))
-        x_p = x_p if first is None else x_p.at[:, 0].set(near(first, of_p.f[:, 0], angles))
-    # 3. predict the Gaussians
-    f, A, Q = _decorrelated(of_p, of_k, model.cross_cov(cloud.particles, example, u, t), x_p)
-    return replace(cloud, particles=x_p, kalman=informed.through(A, f, Q))
-
-
-def _offsets(key: jax.Array, expected: Gaussian) -> jax.Array:
-    return Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, expected.center.shape[-1])
-
-
-def _decorrelated(of_p: Affine, of_k: Affine, cross_cov: jax.Array | None, x_p: jax.Array) -> Affine:
-    """Give the Kalman part's dynamics once the noise of the particle part, x_p' - f_p - A_p x_k, is known (step 3)."""
-    if cross_cov is None:
-        return of_k
-    factor = linalg.cholesky(of_p.Q)
-    aligned = cross_cov if cross_cov.ndim >= factor.ndim else cross_cov[..., None]
-    G = linalg.transpose(linalg.solve(factor, aligned))
-    return Affine(
-        linalg.add_vectors(linalg.times_vector(G, x_p - of_p.f), of_k.f),
-        linalg.add(of_k.A, -linalg.product(G, of_p.A)),
-        linalg.add(of_k.Q, -linalg.symmetric(linalg.product(G, aligned))),
-    )
 
 
 RaoBlackwellizedParticleFilter = MarginalizedParticleFilter

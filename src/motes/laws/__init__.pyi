@@ -6,6 +6,7 @@ from .cost_cloud import CostCloud as CostCloud
 from .factored import FactoredGaussian as FactoredGaussian
 from .grid_cloud import GridCloud as GridCloud
 from .law import Law as Law
+from .map_cloud import MapCloud as MapCloud
 from .marginal_cloud import MarginalCloud as MarginalCloud
 from .mode_mixture import ModeMixture as ModeMixture
 from .several_targets import SeveralTargets as SeveralTargets

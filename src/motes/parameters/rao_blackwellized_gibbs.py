@@ -16,7 +16,8 @@ from motes.core.record import record, replace, static
 from motes.filters import keep
 from motes.filters.info import Info
 from motes.filters.interface import TwoStageFilter
-from motes.filters.marginalized import MarginalizedParticleFilter, moved
+from motes.filters.marginal_moves import moved
+from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.filters.run import run
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.mcmc.interface import LogDensity, Position

@@ -87,7 +87,7 @@ class SlamJob(Job):
         """Return the number of steps, and how good the odometry is alone."""
         if self.way.truth is None:
             return f"{steps} steps"
-        alone = _rms(self.way.truth, self.way.alone)
+        alone = rms(self.way.truth, self.way.alone)
         return f"{steps} steps; errors after the path is laid on the true one (by odometry alone {alone:.2f} m)"
 
     def scores(self, history: History) -> tuple[Score, ...]:
@@ -95,7 +95,7 @@ class SlamJob(Job):
         if self.way.truth is None:
             return ()
         path, truth = self.path(history), self.way.truth
-        found = {"path rms": _rms(truth, path), "on-line rms": _rms(truth, _places(history))}
+        found = {"path rms": rms(truth, path), "on-line rms": rms(truth, _filtered(history))}
         if self.way.places is not None:
             apart = np.hypot(*(laid_on(truth, path)(self.landmarks(history)) - self.way.places).T)
             found |= {"landmarks rms": float(np.sqrt(np.nanmean(apart**2))), "worst landmark": float(np.nanmax(apart))}
@@ -104,7 +104,7 @@ class SlamJob(Job):
     def path(self, history: History) -> np.ndarray:
         """Places `(t, 2)` on the way that the last particles have come; the filter's own where their ancestors were not kept."""
         if not isinstance(history.kept.get("law"), Cloud):
-            return _places(history)
+            return _filtered(history)
         found = smooth(0, GenealogySmoother(), self.model, history, self.ys, self.inputs)
         return np.asarray(found.mean, np.float64)[:, :2]
 
@@ -135,11 +135,11 @@ class SlamJob(Job):
         return replace(settings, data=str(folder / self.file))
 
 
-def _places(history: History) -> np.ndarray:
+def _filtered(history: History) -> np.ndarray:
     return np.asarray(history.mean, np.float64)[:, :2]
 
 
-def _rms(truth: np.ndarray, path: np.ndarray) -> float:
+def rms(truth: np.ndarray, path: np.ndarray) -> float:
     """Root mean square distance of a path from the true one, once laid on it."""
     apart = laid_on(truth, path)(path) - truth
     return float(np.sqrt(np.nanmean((apart**2).sum(axis=1))))
