@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.interface import Job, Score
+from motes.applications.interface import Job, Score, with_cloud
 from motes.applications.target_tracking import scans as reading
 from motes.applications.target_tracking.model import Motion, jumping, scanned
 from motes.applications.target_tracking.settings import Radar, Settings
@@ -29,8 +29,6 @@ from motes.models.state_space import StateSpaceModel
 
 LOST = 1e3
 """A track is lost when it is further off at a scan in which the radar is not blind to the target, meters."""
-DRAWN = 200
-"""Particles that are kept for pictures."""
 PLOTS, TRUTH = "plots.csv", "truth.csv"
 
 
@@ -73,17 +71,6 @@ def load(settings: Settings, seed: int) -> "TrackingJob":
 def tracker(begin: reading.Beginning, radar: Radar, room: int, knows: bool = True) -> Any:
     """Build the jump-Markov model of a track that has begun; `scanned` says what room and knows are."""
     return jumping(Gaussian(begin.mean, begin.cov), Motion(), scanned(radar, max(room, room_for(radar.false)), knows))
-
-
-def with_cloud(law: Any) -> dict[str, jax.Array]:
-    """Keep mean and covariance, and some particles `(x, 200)` evenly along their weights, where the law has some."""
-    found = law.weighted_points()
-    if found is None:
-        return keep.moments(law)
-    points, log_weights = found
-    sums = jnp.cumsum(jnp.exp(log_weights))
-    places = jnp.searchsorted(sums, (jnp.arange(DRAWN, dtype=sums.dtype) + 0.5) / DRAWN * sums[-1])
-    return {**keep.moments(law), "cloud": points[:, jnp.clip(places, 0, points.shape[1] - 1)]}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
