@@ -23,7 +23,6 @@ from motes.laws.circular import wrap
 from motes.models.interface import Model
 from motes.plotting.plot import plot
 
-
 DRAWN = 200
 """Particles that are kept for pictures."""
 

@@ -68,7 +68,7 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
         MotesError: a filter does not fit the model, or its weights collapsed.
     """
     model, long = job.model, callable(job.ys)
-    ys, inputs = (None, None) if long else checked_data(model, job.ys, job.inputs)
+    ys, inputs = (job.ys, None) if long else checked_data(model, job.ys, job.inputs)
     worn = {name: job.worn(one) for name, one in filters.items()}
     for one in worn.values():
         one.prepare(model, at_step(inputs, 0))
@@ -90,7 +90,8 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
             pieces = (long_run(seed, one, job, keep, Path(folder) / name) if long else
                       run_in_chunks(seed, one, model, ys, inputs, keep, chunk=math.ceil(steps_of(ys) / CHUNKS)))  # fmt: skip
             history, seconds = _timed(pieces, advance)
-            outcomes[name] = Outcome(filters[name], history if job.times is None else replace(history, times=np.asarray(job.times)), seconds)
+            history = history if job.times is None else replace(history, times=np.asarray(job.times))
+            outcomes[name] = Outcome(filters[name], history, seconds)
     return outcomes
 
 

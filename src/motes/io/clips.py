@@ -42,7 +42,7 @@ class Clip:
     stamp: tuple[int, int]
 
     def pictures(self, begin: int = 0) -> Iterator[np.ndarray | None]:
-        """Give the pictures from a number on, RGB, uint8 `(height, width, 3)`, turned as they are to be shown; None for one that is damaged.
+        """Give the pictures from a number on, RGB, uint8 `(height, width, 3)`, turned as they are to be shown; None for a damaged one.
 
         Raises:
             FileError: the file cannot be read any more.

@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,7 +16,6 @@ from motes.applications.target_tracking.settings import Radar, Settings
 from motes.applications.target_tracking.world import World, made_up, range_rate
 from motes.core import checks
 from motes.core.record import replace as with_policy
-from motes.filters import keep
 from motes.filters.history import History
 from motes.filters.particle import ParticleFilter
 from motes.filters.run import run

@@ -52,6 +52,7 @@ def colour_table() -> np.ndarray:
     safe = np.where(spread > 0, spread, 1)
     sector = np.select([value == red, value == green], [((green - blue) / safe) % 6, (blue - red) / safe + 2], (red - green) / safe + 4)
     saturation = spread / value
-    place = [np.minimum((share * count).astype(int), count - 1) for share, count in ((sector / 6, HUES), (saturation, HUES), (value, VALUES))]
+    shares = (sector / 6, HUES), (saturation, HUES), (value, VALUES)
+    place = [np.minimum((share * count).astype(int), count - 1) for share, count in shares]
     coloured = (saturation > FADED) & (value > DARK)
     return np.where(coloured, place[0] * HUES + place[1], HUES * HUES + place[2]).astype(np.uint8)

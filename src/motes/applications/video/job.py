@@ -38,6 +38,8 @@ LOOKED_AT = 60
 """Pixels of the shorter side of the box that are looked at, or twice as many at most."""
 SLOW, FAST, MARGIN = 0.02, 0.97, float(np.exp(14))
 """Of `Recovering`: the target is sought anew where the evidence stays 14 nats below what it was for five pictures."""
+SPANS = 8
+"""Most times of which is told that the target was lost."""
 BOX = ("x", "y", "w", "h")
 CLIP, TRUTH = "clip.mkv", "truth.csv"
 
@@ -128,7 +130,7 @@ class VideoJob(Job):
         below: score of the estimate below which the target is lost.
     """
 
-    ys: Pictures
+    ys: Pictures  # type: ignore[reportGeneralTypeIssues]
     look: Look
     memory: dict[str, jax.Array]
     learns: bool
@@ -186,7 +188,8 @@ class VideoJob(Job):
         """Tell where the target was lost, and whether the clip ended early."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.is_lost(history), [False]]).astype(int))).reshape(-1, 2)
         spans = [f"{self.ys.first + begin} to {self.ys.first + end - 1}" for begin, end in edges]
-        said = [f"Lost (score below {self.below}, or sought anew) in pictures {', '.join(spans[:8])}{' ...' if len(spans) > 8 else ''}." if spans else "Never lost."]
+        shown = f"{', '.join(spans[:SPANS])}{' ...' if len(spans) > SPANS else ''}"
+        said = [f"Lost (score below {self.below}, or sought anew) in pictures {shown}." if spans else "Never lost."]
         steps, source = len(np.asarray(history.ess)), self.ys.source
         asked = self.ys.count or (source.count - self.ys.first if isinstance(source, Clip) else steps)
         if steps < asked:

@@ -1,11 +1,13 @@
-"""What is learned of a target on the way, carried by `Adapting`: boosted features of boxes on it and beside it, in the first picture and in
-the last few in which it was seen for sure; and where and how large it was then.
+"""What is learned of a target on the way, carried by `Adapting`.
+
+Boosted features of boxes on it and beside it, in the first picture and in the last few in which it was seen for sure; its colours; and
+where and how large it was when it was last seen so.
 
 1. The score of the estimate is worked out.
 2. Where it is high, boxes on the target and beside it take the place of the oldest ones, and the ensemble is boosted anew.
 """
 
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -50,8 +52,12 @@ def first_memory(key: jax.Array, look: Look, y: Any, start: jax.Array) -> dict[s
     return {**memory, "usual": look.log_likelihood(y, start[:, None], memory)[0]}
 
 
+@cache
 def learning(look: Look, learns: bool) -> Any:
-    """Return how the memory changes, as `Adapting` asks for it; with `learns` false only the score does."""
+    """Return how the memory changes, as `Adapting` asks for it; with `learns` false only the score does.
+
+    The same for equal arguments, so that nothing is compiled twice.
+    """
 
     def learn(key: jax.Array, memory: Any, law: Any, y: Any, u: Any, t: Any) -> dict[str, jax.Array]:
         mean = law.mean()

@@ -5,6 +5,7 @@ grow with the box. log p of a picture is the sum of -50 D^2 by colour, 10 times 
 what moves. What was learned comes as `u["memory"]` (see `learning.py`).
 """
 
+from functools import cache
 from typing import Any
 
 import jax
@@ -74,6 +75,13 @@ class Look:
 
 def followed(look: Look, start: jax.Array) -> StateSpaceModel:
     """Return the model of a target that is first seen in the state `start` `(3,)`."""
+    place = jnp.diag(jnp.array([(0.02 * look.scale) ** 2] * 2 + [0.01**2]))
+    return StateSpaceModel(Gaussian(start, place), *_conditionals(look), STATES)
+
+
+@cache
+def _conditionals(look: Look) -> tuple[AdditiveGaussian, Custom]:
+    """Return dynamics and sensor; the same for equal looks, so that nothing is compiled twice."""
 
     def spread(x: jax.Array, u: Any, t: Any) -> jax.Array:
         pace = PACE * look.scale * jnp.exp(x[2])
@@ -83,5 +91,4 @@ def followed(look: Look, start: jax.Array) -> StateSpaceModel:
         # beside what is usual of late, so that the evidence tells a target that is lost from one that looks different by and by
         return look.log_likelihood(y, X, u[MEMORY]) - u[MEMORY]["usual"]
 
-    place = jnp.diag(jnp.array([(0.02 * look.scale) ** 2] * 2 + [0.01**2]))
-    return StateSpaceModel(Gaussian(start, place), AdditiveGaussian(lambda x, u, t: x, spread), Custom(log_prob=density, batched=True), STATES)
+    return AdditiveGaussian(lambda x, u, t: x, spread), Custom(log_prob=density, batched=True)

@@ -44,7 +44,8 @@ def annotated(history: History, job: Any, chosen: Any = None) -> Any:
     for step, picture in zip(range(steps), job.ys.shown(), strict=False):
         if chosen is None or step in chosen:
             points = None if cloud is None else np.asarray(cloud[step, :2]).T
-            yield _drawn(blank if picture is None else picture, boxes[step], points, lost[step], f"{job.ys.first + step}   {score[step]:+.2f}")
+            text = f"{job.ys.first + step}   {score[step]:+.2f}"
+            yield _drawn(blank if picture is None else picture, boxes[step], points, lost[step], text)
 
 
 def _drawn(picture: np.ndarray, box: np.ndarray, points: np.ndarray | None, lost: bool, text: str) -> np.ndarray:

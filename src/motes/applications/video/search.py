@@ -1,5 +1,6 @@
 """Where a lost target may be: places all over the picture, drawn by how well they look. It is what `Recovering` draws from."""
 
+from functools import cache
 from typing import Any
 
 import jax
@@ -15,8 +16,12 @@ SOFT = 0.5
 """What their log likelihoods are multiplied by, so that a few places that look well are tried and not one."""
 
 
+@cache
 def anywhere(look: Look, width: int, height: int) -> Any:
-    """Return what draws a state, as `Recovering` asks for it, in pictures of so many pixels; as large as the target was when last seen."""
+    """Return what draws a state, as `Recovering` asks for it, in pictures of so many pixels; as large as the target was when last seen.
+
+    The same for equal arguments, so that nothing is compiled twice.
+    """
     apart = STRIDE * np.array([look.width, look.height])
     apart *= max(1.0, (width * height / np.prod(apart) / PLACES) ** 0.5)
     places = np.meshgrid(np.arange(apart[0] / 2, width, apart[0]), np.arange(apart[1] / 2, height, apart[1]))

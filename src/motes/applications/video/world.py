@@ -1,7 +1,7 @@
 """A clip that is rendered: a patchwork that moves over clouds, with all that makes it hard to follow.
 
-It goes by its twin, which stands still for the first fifth of the clip, and a grey bar covers it; the light halves; its hue turns; it is gone
-for a while and comes back elsewhere. All of it is a function of the number of the picture, so that a clip need never be in memory.
+It goes by its twin, which stands still for the first fifth of the clip, and a grey bar covers it; the light halves; its hue turns; it is
+gone for a while and comes back elsewhere. All of it is a function of the number of the picture, so that a clip need never be in memory.
 """
 
 from collections.abc import Iterator
