@@ -33,7 +33,7 @@ class World:
         twin: whether there is a twin.
         bar: whether a bar covers the target for three pictures, after 30 of 100.
         light: share of the light that is left after two fifths of the clip.
-        turn: by which the hue turns between the middle and three quarters of the clip, degrees.
+        turn: by which the hue turns between one and three quarters of the clip, degrees.
         gone: pictures for which the target is out of sight, after 80 of 100; 0 for none.
     """
 
@@ -83,7 +83,7 @@ class World:
         """Give the pictures from a number on, RGB, uint8 `(240, 320, 3)`."""
         generator = np.random.default_rng([self.seed, 2])
         ground = _clouds(generator)
-        patches = generator.uniform(0.35, 1.0, (PATCHES, PATCHES, 3)) * np.array([1.0, 0.45, 0.35])
+        patches = generator.uniform(0.15, 1.0, (PATCHES, PATCHES, 3)) * np.array([1.0, 0.45, 0.35])
         # the same in all pictures, so that the file in which nothing is lost stays small
         grain = generator.normal(0, 0.01, (HEIGHT, WIDTH, 1))
         rows, columns = (np.arange(side) * PATCHES // side for side in SIDES[::-1])
@@ -93,7 +93,7 @@ class World:
         for number in range(begin, self.count):
             picture = ground.copy()
             _paint(picture, twin, patches[rows][:, columns], self.twin and number < self.count // 5)
-            share = np.clip((number - self.count / 2) / (self.count / 4), 0, 1)
+            share = np.clip((number - self.count / 4) / (self.count / 2), 0, 1)
             _paint(picture, corners[number], (patches @ _turned(self.turn * share))[rows][:, columns], not hidden[number])
             if self.barred[number]:
                 across = int(corners[number, 0])
@@ -106,7 +106,7 @@ class World:
 def _clouds(generator: np.random.Generator) -> np.ndarray:
     """Return a ground of soft spots, `(240, 320, 3)`, from 0 to 1."""
     cells = (HEIGHT // 20 + 2, WIDTH // 20 + 2)
-    coarse = generator.uniform(0.2, 0.7, cells)[..., None] + generator.uniform(-0.12, 0.12, (*cells, 3))
+    coarse = generator.uniform(0.3, 0.6, cells)[..., None] + generator.uniform(-0.12, 0.12, (*cells, 3))
     y, x = np.arange(HEIGHT) / 20, np.arange(WIDTH) / 20
     row, column = y.astype(int), x.astype(int)
     down, across = (y - row)[:, None, None], (x - column)[None, :, None]
