@@ -23,13 +23,14 @@ from motes.applications.video import job as tracking
 from motes.applications.video.boosting import boosted
 from motes.applications.video.colour import distance, histograms
 from motes.applications.video.features import moving, pool, values, within
-from motes.applications.video.frames import BINS, HUES, colour_table, measured
+from motes.applications.video.frames import BINS, HUES, colour_table, looked_at
 from motes.applications.video.job import LOST, load, overlap
 from motes.applications.video.settings import Settings
 from motes.applications.video.world import World
 from motes.cli import long_runs
 from motes.cli.main import main
 from motes.core.checks import FileError, MotesError
+from motes.filters import pieces
 from motes.io.clips import read_clip, write_clip
 
 pytestmark = pytest.mark.jax
@@ -56,7 +57,7 @@ def rendered(monkeypatch):
 def test_sums_and_features_are_those_of_the_pixels():
     generator = np.random.default_rng(1)
     before, picture = generator.integers(0, 256, (2, 33, 41, 3), dtype=np.uint8)
-    y = list(measured([before, None, picture], 2))
+    y = list(looked_at([before, None, picture], 2))
     assert y[1] is None and y[2]["sums"].shape == (4, 18, 22) and y[2]["bins"].shape == (17, 21)
     red, green, blue = np.moveaxis(picture[::2, ::2].astype(int), 2, 0)
     old = before[::2, ::2].astype(int).sum(axis=2) // 3
@@ -155,6 +156,14 @@ def test_a_damaged_picture_is_a_step_without_measurement(tmp_path):
     job = load(Settings(data=str(short), box=",".join(map(str, box)), frames=24), 0)
     history = mo.run(0, job.worn(job.filters["particle"]), job.model, job.ys(), keep=job.keep)
     assert "The clip ended after 12 of 24 pictures." in job.verdict(history)
+
+
+def test_a_piece_has_a_picture_that_shows_its_form(monkeypatch):
+    monkeypatch.setattr(pieces, "BYTES", 1)
+    job = load(Settings(frames=10), 0)
+    picture = next(job.ys())
+    given = iter([picture, None, None, picture, picture])
+    assert [len(piece) for piece, _ in pieces.gathered(job.model, given, None)] == [1, 3, 1]
 
 
 def test_what_cannot_be_followed_is_told_in_one_line(tmp_path):

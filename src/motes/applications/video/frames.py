@@ -18,7 +18,7 @@ BRIGHTNESS, RED_GREEN, BLUE_YELLOW, MOTION = range(4)
 """The channels: I = (R + G + B) / 3, R - G, B - (R + G) / 2, and |I - I of the picture before|."""
 
 
-def measured(pictures: Iterable[np.ndarray | None], stride: int) -> Iterator[dict[str, np.ndarray] | None]:
+def looked_at(pictures: Iterable[np.ndarray | None], stride: int) -> Iterator[dict[str, np.ndarray] | None]:
     """Give the measurements of pictures, one by one.
 
     Args:

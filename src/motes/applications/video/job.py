@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.interface import Job, Score, with_cloud
-from motes.applications.video.frames import measured
+from motes.applications.video.frames import looked_at
 from motes.applications.video.learning import first_memory, learning
 from motes.applications.video.model import CUES, Look, followed
 from motes.applications.video.search import anywhere
@@ -70,7 +70,7 @@ def load(settings: Settings, seed: int) -> "VideoJob":
     box = _box(settings.box, first) if world is None or settings.box else world.boxes[settings.frame]
     look = Look(float(box[2]), float(box[3]), max(1, int(min(box[2:]) // LOOKED_AT)), settings.cues)
     start = jnp.array([box[0] + box[2] / 2, box[1] + box[3] / 2, 0.0], jnp.result_type(float))
-    picture = jax.tree.map(jnp.asarray, next(measured([first], look.stride)))
+    picture = jax.tree.map(jnp.asarray, next(looked_at([first], look.stride)))
     return VideoJob(
         model=followed(look, start), ys=Pictures(source, settings.frame, settings.frames, look.stride), keep=with_score, look=look,
         memory=first_memory(random.as_key(seed), look, picture, start), learns=settings.learning, size=first.shape[1::-1],
@@ -97,7 +97,7 @@ class Pictures:
     def __call__(self, step: int = 0) -> Iterator[Any]:
         """Give the measurements from a step on; the picture before is looked at for what moved since."""
         before, damaged = min(step, 1), 0
-        for one in islice(measured(self.shown(step - before), self.stride), before, None):
+        for one in islice(looked_at(self.shown(step - before), self.stride), before, None):
             if one is None:
                 damaged += 1
                 continue

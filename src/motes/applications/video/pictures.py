@@ -45,10 +45,10 @@ def annotated(history: History, job: Any, chosen: Any = None) -> Any:
         if chosen is None or step in chosen:
             points = None if cloud is None else np.asarray(cloud[step, :2]).T
             text = f"{job.ys.first + step}   {score[step]:+.2f}"
-            yield _drawn(blank if picture is None else picture, boxes[step], points, lost[step], text)
+            yield _marked(blank if picture is None else picture, boxes[step], points, lost[step], text)
 
 
-def _drawn(picture: np.ndarray, box: np.ndarray, points: np.ndarray | None, lost: bool, text: str) -> np.ndarray:
+def _marked(picture: np.ndarray, box: np.ndarray, points: np.ndarray | None, lost: bool, text: str) -> np.ndarray:
     image = need("PIL.Image", "results").fromarray(np.ascontiguousarray(picture))
     pen, font = need("PIL.ImageDraw", "results").Draw(image), need("PIL.ImageFont", "results")
     thick = max(1, round(max(image.size) / 320))
