@@ -121,10 +121,10 @@ def test_settings_are_their_file(name, tmp_path):
 
 SHORT = {"terrain": ("--route.fixes", "41", "--n", "300"), "robot": ("--seconds", "60", "--n", "60"),
          "aircraft": ("--duration", "600", "--plots.steps", "200", "--n", "40"),
-         "target_tracking": ("--scans", "20", "--n", "100")}  # fmt: skip
+         "target_tracking": ("--scans", "20", "--n", "100"), "video": ("--frames", "24")}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", each(sorted(set(applications()) - {"terrain"}), {"aircraft", "target_tracking"}))
+@pytest.mark.parametrize("name", each(sorted(set(applications()) - {"terrain"}), {"aircraft", "target_tracking", "video"}))
 def test_each_is_shown_without_data_and_runs_again_from_its_files(name, tmp_path, monkeypatch, capsys):
     """That of the terrain: tests/cli."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

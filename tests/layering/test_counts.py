@@ -7,6 +7,7 @@ from sources import SOURCE
 
 LOOPS = ("scan", "fori_loop", "while_loop", "associative_scan")
 ELSEWHERE = {
+    "applications/video/boosting.py": "over the rounds of boosting",
     "core/loop.py": "the loop over time",
     "core/sums.py": "over blocks of particles",
     "costs/calibration.py": "repeats a product of matrices that is timed",

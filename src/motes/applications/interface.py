@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -22,6 +23,9 @@ from motes.io.result_table import Table
 from motes.laws.circular import wrap
 from motes.models.interface import Model
 from motes.plotting.plot import plot
+
+DRAWN = 200
+"""Particles that are kept for pictures."""
 
 
 class Score(NamedTuple):
@@ -46,7 +50,8 @@ class Job:
 
     Attributes:
         model: the model.
-        ys: measurements, time axis first; None of a job that is only planned or studied.
+        ys: measurements, time axis first; None of a job that is only planned or studied. Those that do not fit into memory: a function of a
+            step, by default 0, that gives an iterator of the measurements from there on, and prints as what they are.
         inputs: of the model, time axis first; or None.
         truth: true states `(t, x)`; None where they are not known.
         times: of the steps, seconds, `(t,)`; None where steps are only numbered.
@@ -67,6 +72,10 @@ class Job:
     counted: tuple[str, ...] = ()
     blocks: Mapping[str, tuple[str, ...]] | None = None
     lost: tuple[str, float] | None = None
+
+    def worn(self, filter: Filter) -> Filter:
+        """Return what runs in place of a filter that was named: the filter, with what the job puts around it."""
+        return filter
 
     def pieces(self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int) -> Iterator[History]:
         """Run a filter; yield the histories of parts of so many steps, one after the other."""
@@ -103,3 +112,14 @@ class Job:
     def written(self, folder: Path, settings: Any) -> Any:
         """Write what was made up as a user's own files would come, and return the settings that name them by their full paths."""
         return settings
+
+
+def with_cloud(law: Any) -> dict[str, jax.Array]:
+    """Keep mean and covariance, and some particles `(x, 200)` evenly along their weights, where the law has some."""
+    found = law.weighted_points()
+    if found is None:
+        return keeping.moments(law)
+    points, log_weights = found
+    sums = jnp.cumsum(jnp.exp(log_weights))
+    places = jnp.searchsorted(sums, (jnp.arange(DRAWN, dtype=sums.dtype) + 0.5) / DRAWN * sums[-1])
+    return {**keeping.moments(law), "cloud": points[:, jnp.clip(places, 0, points.shape[1] - 1)]}

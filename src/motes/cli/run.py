@@ -44,7 +44,7 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
     """
     settings = wish.settings
     check_seed(settings.seed)
-    from motes.cli import running
+    from motes.cli import long_runs, running
     from motes.filters import keep
     from motes.smoothers.interface import Smoother
 
@@ -60,7 +60,7 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
         print(job.about())
     if smoother is not None:
         running.check_smoother(settings.seed, smoother, filters, job)
-    outcomes = running.race(settings.seed, filters, job, keep.laws if smoother else job.keep)
+    outcomes = running.race(settings.seed, filters, job, keep.laws if smoother else job.keep, settings.out)
     histories = {name: outcome.history for name, outcome in outcomes.items()}
     scores = {name: job.scores(history) for name, history in histories.items()}
     found = {name: running.results(outcome) | {_key(one): one.value for one in scores[name]} for name, outcome in outcomes.items()}
@@ -83,6 +83,7 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
     for name, figure in job.pictures(histories).items():
         running.write_figure(folder / name, figure)
     running.write_summary(folder / "summary.json", {"application": wish.application.name}, settings, found)
+    long_runs.forget(folder)
     for history in histories.values():
         said = job.verdict(history)
         if said:

@@ -1,7 +1,6 @@
 """Run filters with a progress bar and a clock, print what came out, and write it to a folder."""
 
 import dataclasses
-import io
 import json
 import math
 import os
@@ -17,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table as Shown
 
 from motes.applications.interface import Job
+from motes.cli.long_runs import long_run
 from motes.core.checks import FileError, need, refuse
 from motes.core.progress import is_shown
 from motes.core.record import replace
@@ -36,6 +36,8 @@ from motes.smoothers.interface import Smoother
 from motes.smoothers.smooth import smooth
 
 CHUNKS = 20
+DOTS = {".gif": 80}
+"""Dots of an inch of what is no PNG."""
 
 
 class Outcome(NamedTuple):
@@ -52,7 +54,7 @@ class Outcome(NamedTuple):
     seconds_per_step: float | None
 
 
-def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep) -> dict[str, Outcome]:
+def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder: str) -> dict[str, Outcome]:
     """Run each filter over the same measurements, with a progress bar where the error stream is a terminal.
 
     Args:
@@ -60,47 +62,56 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep) -> dict
         filters: by name.
         job: model, measurements and inputs.
         keep: what to keep of each step.
+        folder: where runs over measurements that do not fit into memory are kept while they last.
 
     Raises:
         MotesError: a filter does not fit the model, or its weights collapsed.
     """
-    model, (ys, inputs) = job.model, checked_data(job.model, job.ys, job.inputs)
-    for one in filters.values():
+    model, long = job.model, callable(job.ys)
+    ys, inputs = (job.ys, None) if long else checked_data(model, job.ys, job.inputs)
+    worn = {name: job.worn(one) for name, one in filters.items()}
+    for one in worn.values():
         one.prepare(model, at_step(inputs, 0))
 
     def standing() -> str:
-        return ", ".join(f"{task.completed:.0f} of {task.total:.0f} steps of {task.description}" for task in progress.tasks)
+        return ", ".join(f"{task.completed:.0f}{f' of {task.total:.0f}' if task.total else ''} steps of {task.description}"
+                         for task in progress.tasks)  # fmt: skip
 
     columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn())
     outcomes, console = {}, Console(stderr=True)
     with Progress(*columns, console=console, disable=not is_shown(console, None)) as progress, watched("motes", standing) as further:
-        for name, one in filters.items():
-            task = progress.add_task(name, total=steps_of(ys))
+        for name, one in worn.items():
+            task = progress.add_task(name, total=None if long else steps_of(ys))
 
             def advance(steps: int, task: TaskID = task) -> None:
                 progress.advance(task, steps)
                 further()
 
-            found = _timed(job.pieces(seed, one, ys, inputs, keep, math.ceil(steps_of(ys) / CHUNKS)), one, advance)
-            outcomes[name] = found if job.times is None else found._replace(history=replace(found.history, times=np.asarray(job.times)))
+            pieces = (long_run(seed, one, job, keep, Path(folder) / name) if long else
+                      job.pieces(seed, one, ys, inputs, keep, math.ceil(steps_of(ys) / CHUNKS)))  # fmt: skip
+            history, seconds = _timed(pieces, advance)
+            history = history if job.times is None else replace(history, times=np.asarray(job.times))
+            outcomes[name] = Outcome(filters[name], history, seconds)
     return outcomes
 
 
-def _timed(parts: Iterator[History], filter: Filter, advance: Any) -> Outcome:
+def _timed(run: Iterator[History], advance: Any) -> tuple[History, float | None]:
+    """Put the pieces of a run together; the median time of a step beside it."""
     pieces, times, seen = [], [], set()
     began = time.perf_counter()
-    for number, piece in enumerate(parts):
+    for piece in run:
         jax.block_until_ready(piece)
         now = time.perf_counter()
-        count = steps(piece)
+        count, goes_on = steps(piece), int(piece.start) > 0
         # the first chunk, and each new length, are compiled when they are first met
-        if (number > 0, count) in seen:
+        if (goes_on, count) in seen:
             times.append((now - began) / count)
-        seen.add((number > 0, count))
-        pieces.append(piece)
+        seen.add((goes_on, count))
+        # where it ended goes with the last one alone: laws and measurements can be large
+        pieces[-1:] = [replace(one, last=None) for one in pieces[-1:]] + [piece]
         advance(count)
         began = time.perf_counter()
-    return Outcome(filter, joined(pieces), float(np.median(times)) if times else None)
+    return joined(pieces), float(np.median(times)) if times else None
 
 
 def steps(history: History) -> int:
@@ -240,8 +251,6 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_figure(path: Path, figure: Any) -> None:
-    """Write a figure as PNG, or an animation as GIF, whole or not at all."""
-    picture, moves = io.BytesIO(), path.suffix == ".gif"
-    figure.savefig(picture, format="gif" if moves else "png", dpi=80 if moves else 130)
+    """Write a figure as PNG, or what moves as GIF or MP4, whole or not at all."""
     with whole_file(path) as file:
-        file.write(picture.getvalue())
+        figure.savefig(file, format=path.suffix[1:], dpi=DOTS.get(path.suffix, 130))

@@ -17,7 +17,21 @@ BYTES, STEPS = 16_000_000, 1_000
 
 
 def pieces(model: Model, measurements: Iterator[Any], inputs: Inputs) -> Iterator[tuple[Any, Inputs]]:
-    """Give pieces of measurements, as `run` takes them whole, with their inputs; shows how many steps went by.
+    """Give pieces as `gathered` does, and show how many steps went by."""
+    from rich.console import Console  # here, because every run loads this file, and few need a bar
+    from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), MofNCompleteColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not is_shown(console, None), transient=True) as progress:
+        task = progress.add_task("steps", total=None)
+        for piece, rows in gathered(model, measurements, inputs):
+            yield piece, rows
+            progress.advance(task, len(piece))
+
+
+def gathered(model: Model, measurements: Iterator[Any], inputs: Inputs) -> Iterator[tuple[Any, Inputs]]:
+    """Give pieces of measurements, as `run` takes them whole, with their inputs.
 
     Args:
         model: that they are of.
@@ -27,31 +41,25 @@ def pieces(model: Model, measurements: Iterator[Any], inputs: Inputs) -> Iterato
     Raises:
         MotesError: there are no measurements, or there are fewer or more inputs.
     """
-    from rich.console import Console  # here, because every run loads this file, and few need a bar
-    from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
     vectors = not all(part.sensor.measures_anything for part in model.each_mode())
     steps = _one_by_one(measurements, vectors)
     first = next(steps, None)
     if first is None:
         checks.refuse("ys", "at least one measurement", "an iterator without any")
     rows = inputs if isinstance(inputs, Iterator) else None
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), MofNCompleteColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not is_shown(console, None), transient=True) as progress:
-        task, done, length, begun = progress.add_task("steps", total=None), 0, 0, []
-        for (one,) in chain([first], steps):
-            begun.append(one)
-            if not length and one is not None:
-                size = sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(one))
-                length = int(np.clip(BYTES // max(1, size), 1, STEPS))
-            if length and len(begun) >= length:
-                yield begun, _inputs_of(inputs, rows, done, len(begun))
-                done, begun = done + len(begun), []
-                progress.update(task, completed=done)
-        if begun:
+    done, length, begun = 0, 0, []
+    for (one,) in chain([first], steps):
+        begun.append(one)
+        if not length and one is not None:
+            size = sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(one))
+            length = int(np.clip(BYTES // max(1, size), 1, STEPS))
+        # what was not measured does not show its form, and takes no memory
+        if length and len(begun) >= length and any(one is not None for one in begun):
             yield begun, _inputs_of(inputs, rows, done, len(begun))
-            done += len(begun)
+            done, begun = done + len(begun), []
+    if begun:
+        yield begun, _inputs_of(inputs, rows, done, len(begun))
+        done += len(begun)
     if rows is None and inputs is not None and {np.shape(leaf)[0] for leaf in jax.tree.leaves(inputs)} != {done}:
         checks.refuse("inputs", f"arrays with the time axis first, {done} steps as there were measurements",
                       f"first axes {sorted({np.shape(leaf)[0] for leaf in jax.tree.leaves(inputs)})}")

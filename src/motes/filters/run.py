@@ -111,7 +111,9 @@ def _run_through(
     checks.instance("run model", model, Model, "a model such as StateSpaceModel")
     found: list[History] = []
     for piece, rows in pieces(model, ys, inputs):
-        found.append(run(key, filter, model, piece, rows, keep, found[-1] if found else after))
+        part = run(key, filter, model, piece, rows, keep, found[-1] if found else after)
+        # where it ended goes with the last one alone: laws and measurements can be large
+        found[-1:] = [replace(one, last=None) for one in found[-1:]] + [part]
     return joined(found)
 
 

@@ -3,10 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 
+from motes.applications.interface import with_cloud
 from motes.applications.target_tracking import scans as reading
 from motes.applications.target_tracking.beginning import begun
 from motes.applications.target_tracking.model import Tracker
-from motes.applications.target_tracking.one import TrackingJob, with_cloud
+from motes.applications.target_tracking.one import TrackingJob
 from motes.applications.target_tracking.settings import Settings
 from motes.applications.target_tracking.several import SeveralJob
 from motes.applications.target_tracking.shared import RadarJob

@@ -5,32 +5,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.interface import Score
 from motes.applications.target_tracking.shared import LOST, RadarJob
 from motes.applications.target_tracking.world import range_rate
 from motes.core.record import replace as with_policy
-from motes.filters import keep
 from motes.filters.history import History
 from motes.filters.run import run
 from motes.models.state_space import StateSpaceModel
-
-DRAWN = 200
-"""Particles that are kept for pictures."""
-
-
-def with_cloud(law: Any) -> dict[str, jax.Array]:
-    """Keep mean and covariance, and some particles `(x, 200)` evenly along their weights, where the law has some."""
-    found = law.weighted_points()
-    if found is None:
-        return keep.moments(law)
-    points, log_weights = found
-    sums = jnp.cumsum(jnp.exp(log_weights))
-    places = jnp.searchsorted(sums, (jnp.arange(DRAWN, dtype=sums.dtype) + 0.5) / DRAWN * sums[-1])
-    return {**keep.moments(law), "cloud": points[:, jnp.clip(places, 0, points.shape[1] - 1)]}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
