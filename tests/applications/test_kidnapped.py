@@ -12,7 +12,6 @@ from motes.applications.robot import scenario as scoring
 from motes.applications.robot.job import load
 from motes.applications.robot.settings import Settings
 from motes.cli.main import main
-from tiers import NIGHT
 
 AT = 471.21
 """Seconds of the recording (its step 3 198) after which the robot is carried."""
@@ -29,9 +28,12 @@ def seeds_of(settings, seeds):
 
 
 @pytest.mark.optimized
-def test_a_made_up_robot_is_found_again():
-    found = seeds_of(Settings(seconds=500.0, start="unknown", kidnap=300.0), 3 if NIGHT else 1)
-    assert (found < [1.0, 60.0, 1.5]).all(), found
+def test_a_kidnapping_is_noticed():
+    job = load(Settings(seconds=400.0, kidnap=200.0), 1)
+    history = mo.run(0, job.filters["recovering"], job.model, job.ys, job.inputs)
+    drawn, begin = np.asarray(history.info.recovered), job.scenario.scored[job.scenario.kidnapped]
+    assert drawn[:begin].max() < 0.2 < drawn[begin : begin + 200].max()
+    assert scoring.score(history, job.scenario).rms < 1.0
 
 
 @pytest.mark.optimized

@@ -71,7 +71,8 @@ class RobotJob(Job):
             return told
         seconds, rms = scenario.found_again(history, self.scenario)
         lost = seconds == float("inf")
-        return (*told, Score("found again after", None if lost else seconds, "s", 1), Score("rms from then on", None if lost else rms, "m", 2))
+        again = (("found again after", seconds, "s", 1), ("rms from then on", rms, "m", 2))
+        return (*told, *(Score(name, None if lost else value, unit, digits) for name, value, unit, digits in again))
 
     def verdict(self, history: History) -> str:
         """Say whether to trust the run."""
