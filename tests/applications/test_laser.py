@@ -81,4 +81,19 @@ def test_it_is_shown_and_runs_again_from_its_files(tmp_path, monkeypatch):
 
 def run(seed, **settings):
     job = load(Settings(kidnap=100.0, **settings), seed)
-    return [score.value for score in job.scores(mo.run(seed, job.filters["recovering"], job.model, job.ys, job.inputs, keep=job.keep))]
+    return [score.value for score in job.scores(mo.run(seed, job.filters["recovering"], job.model, job.ys, job.inputs))]
+
+
+@pytest.mark.optimized
+@pytest.mark.night
+def test_a_start_anywhere_is_found_and_a_kidnapping_survived():
+    found = [run(seed) for seed in range(20)]
+    assert sum(one[0] is not None for one in found) >= 19, found
+    assert sum(one[2] is not None for one in found) >= 18, found
+
+
+@pytest.mark.optimized
+@pytest.mark.night
+def test_outliers_cost_little():
+    clean, wrong = (np.median([run(seed, outliers=share)[1] for seed in (0, 2, 3, 4, 7)]) for share in (0.0, 0.1))
+    assert wrong <= 1.3 * clean
