@@ -12,7 +12,7 @@ from motes.applications.laser.grid import read_grid, write_grid
 from motes.applications.laser.job import load
 from motes.applications.laser.scans import read_scans, write_scans
 from motes.applications.laser.settings import Settings
-from motes.applications.laser.world import building, made_up
+from motes.applications.laser.world import building, driven
 from motes.cli.main import main
 
 
@@ -44,7 +44,7 @@ def test_maps_are_refused(tmp_path, old, new, words):
 
 
 def test_scans_are_read_as_they_are_written_and_refused(tmp_path):
-    path, scans = tmp_path / "scans.csv", made_up(0, 60.0, 30.0, 0.1)[1]
+    path, scans = tmp_path / "scans.csv", driven(0, 60.0, 30.0, 0.1)[1]
     write_scans(path, scans)
     assert all(np.array_equal(one, other, equal_nan=True) for one, other in zip(read_scans(path), scans, strict=True))
     text = path.read_text()

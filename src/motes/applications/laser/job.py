@@ -14,13 +14,14 @@ from motes.applications.laser.model import anywhere, laser_model
 from motes.applications.laser.pictures import building_animation, building_figure
 from motes.applications.laser.scans import Scans, read_scans, write_scans
 from motes.applications.laser.settings import Settings
-from motes.applications.laser.world import made_up
+from motes.applications.laser.world import driven
 from motes.applications.robot.kidnapping import found_after
 from motes.applications.target_tracking.one import with_cloud
 from motes.core import checks
 from motes.filters.history import History
 from motes.filters.particle import ParticleFilter
 from motes.filters.recovering import Recovering
+from motes.laws.clusters import clusters
 
 MAP, SCANS = "map.yaml", "scans.csv"
 
@@ -37,7 +38,7 @@ def load(settings: Settings, seed: int) -> "LaserJob":
     if settings.data:
         grid, scans = read_grid(settings.map), read_scans(settings.data)
     else:
-        grid, scans = made_up(seed, settings.seconds, settings.kidnap, settings.outliers)
+        grid, scans = driven(seed, settings.seconds, settings.kidnap, settings.outliers)
     inputs = {"forward": jnp.asarray(scans.forward, float), "turn": jnp.asarray(scans.turn, float)}
     return LaserJob(
         model=laser_model(grid, scans.ranges.shape[1]), ys=jnp.asarray(scans.ranges, float), inputs=inputs, truth=scans.poses,
@@ -81,7 +82,7 @@ class LaserJob(Job):
 
     def verdict(self, history: History) -> str:
         """Say how many clusters the last law has, and whether to trust the run."""
-        weights = np.asarray(history.state.law.clusters(8).weight)
+        weights = np.asarray(clusters(*history.state.law.weighted_points(), 8).weight)
         return f"At the end the robot is in one of {int((weights > 0.05).sum())} clusters. {history}"
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:

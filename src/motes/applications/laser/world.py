@@ -61,7 +61,7 @@ def _route(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.array(poses[:count])
 
 
-def made_up(seed: int, seconds: float, kidnap: float, outliers: float) -> tuple[Grid, Scans]:
+def driven(seed: int, seconds: float, kidnap: float, outliers: float) -> tuple[Grid, Scans]:
     """Make a building and a recording of scans; outliers change nothing else of it.
 
     Raises:
@@ -79,7 +79,7 @@ def made_up(seed: int, seconds: float, kidnap: float, outliers: float) -> tuple[
     moved[at] = 0
     forward, turn = np.hypot(moved[:, 0], moved[:, 1]), np.angle(np.exp(1j * moved[:, 2]))
     read = forward * (1 + SLIP * rng.standard_normal(count)), turn * (1 + SLIP * rng.standard_normal(count))
-    ranges = cast(grid, poses) + RANGE_SD * rng.standard_normal((count, BEAMS))
+    ranges = np.maximum(cast(grid, poses) + RANGE_SD * rng.standard_normal((count, BEAMS)), 0)
     wrong, instead = rng.random(ranges.shape) < outliers, rng.uniform(0.2, REACH, ranges.shape)
     ranges = np.where(wrong, instead, ranges)
     return grid, Scans(STEP * np.arange(count), read[0], read[1] + TURN_SD * (forward > 0) * rng.standard_normal(count), ranges, poses)
