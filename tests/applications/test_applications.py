@@ -121,10 +121,12 @@ def test_settings_are_their_file(name, tmp_path):
 
 SHORT = {"terrain": ("--route.fixes", "41", "--n", "300"), "robot": ("--seconds", "60", "--n", "60"),
          "aircraft": ("--duration", "600", "--plots.steps", "200", "--n", "40"),
+         "laser": ("--seconds", "60", "--n", "300"), "slam": ("--seconds", "60", "--n", "5"),
          "target_tracking": ("--scans", "20", "--n", "100"), "video": ("--frames", "24")}  # fmt: skip
+SHOWN_BY_NIGHT = {"aircraft", "laser", "slam", "target_tracking", "video"}
 
 
-@pytest.mark.parametrize("name", each(sorted(set(applications()) - {"terrain"}), {"aircraft", "target_tracking", "video"}))
+@pytest.mark.parametrize("name", each(sorted(set(applications()) - {"terrain"}), SHOWN_BY_NIGHT))
 def test_each_is_shown_without_data_and_runs_again_from_its_files(name, tmp_path, monkeypatch, capsys):
     """That of the terrain: tests/cli."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -1,91 +1,71 @@
-"""A robot that does not know where it starts, and is carried away: ranges to known beacons and augmented recovery, in thirty lines."""
+"""A robot that does not know where it starts, and is carried away: found again by augmented recovery, on made-up and recorded ways."""
 
-import jax
-import jax.numpy as jnp
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import motes as mo
-from data import recorded
-from motes.applications.robot import scenario as job
-from motes.applications.robot.world import simulated
-from motes.io.recordings import read_plaza
-from tiers import NIGHT
+from data import recorded, refused
+from motes.applications.robot import scenario as scoring
+from motes.applications.robot.job import load
+from motes.applications.robot.settings import Settings
+from motes.cli.main import main
 
-RANGE_SD, PARTICLES, CARRIED, AT = 0.54 * 1.5, 5_000, 31.0, 3_198
-SCALE = 0.07
-"""These radios read long."""
-
-
-def localizer(beacons, scale, low, high):
-    """What a user writes: a robot of place and heading, and a filter that draws particles on the ring of the present range."""
-
-    def drive(x, u, t):
-        course = x[2] + u.turn / 2
-        return jnp.stack([x[0] + u.forward * jnp.cos(course), x[1] + u.forward * jnp.sin(course), x[2] + u.turn])
-
-    def slip(x, u, t):
-        place = 0.1**2 * (jnp.abs(u.forward) + u.dt)
-        return jnp.diag(jnp.stack([place, place, 0.01**2 * u.dt + 0.03**2 * jnp.abs(u.turn)]))
-
-    def ranges(x, u, t):
-        return (1 + scale) * jnp.hypot(x[0] - beacons[:, 0], x[1] - beacons[:, 1])
-
-    def on_the_ring(key, y, u, t):
-        place, heading = jax.random.uniform(key, (2,), minval=-jnp.pi, maxval=jnp.pi)
-        beacon = jnp.argmax(~jnp.isnan(y))
-        radius = y[beacon] / (1 + scale)
-        return jnp.concatenate([beacons[beacon] + radius * jnp.stack([jnp.cos(place), jnp.sin(place)]), heading[None]])
-
-    anywhere = np.random.default_rng(0).uniform([*low, -np.pi], [*high, np.pi], (50_000, 3))
-    model = mo.StateSpaceModel(
-        mo.laws.Cloud.equal(jnp.asarray(anywhere.T, jnp.float32)),
-        mo.AdditiveGaussian(drive, slip, angles=(2,)),
-        mo.AdditiveGaussian(ranges, RANGE_SD**2 * jnp.eye(len(beacons))),
-        ("px", "py", "heading"),
-    )
-    return model, mo.Recovering(mo.ParticleFilter(n=PARTICLES, on_collapse="predict"), on_the_ring)
+AT = 471.21
+"""Seconds of the recording (its step 3 198) after which the robot is carried."""
 
 
-def carried(scenario, at):
-    """Cut out a part of the way, so that the robot is elsewhere from one step to the next; true places `(t, 2)` beside it."""
-    place = np.stack([np.interp(scenario.times, scenario.times[scenario.scored], axis) for axis in scenario.truth[:, :2].T], axis=1)
-    away = at + int(np.argmax(np.hypot(*(place[at:] - place[at]).T) > CARRIED))
-    rows = np.concatenate([np.arange(at), np.arange(away, len(place))])
-    inputs = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[rows]), scenario.inputs)
-    gone = np.where(np.arange(len(rows)) >= at, scenario.times[away] - scenario.times[at], 0)
-    return scenario.ys[rows], inputs, scenario.times[rows] - gone, place[rows]
-
-
-def found(history, times, place, begin):
-    """Seconds until the error stays below 2 m for 10 s, from a step on, and the root mean square from then on."""
-    error = np.hypot(*(np.asarray(history.mean)[:, :2] - place).T)
-    good = error < 2.0
-    for step in range(begin, len(times)):
-        if good[step : np.searchsorted(times, times[step] + 10)].all():
-            return times[step] - times[begin], float(np.sqrt(np.mean(error[step:] ** 2)))
-    return np.inf, np.inf
-
-
-def seeds_of(scenario, at, seeds):
-    ys, inputs, times, place = carried(scenario, at)
-    low, high = place.min(axis=0) - 15, place.max(axis=0) + 15
-    model, filter = localizer(jnp.asarray(scenario.beacons, jnp.float32), SCALE, low, high)
-    return [(found(history, times, place, 0), found(history, times, place, at))
-            for history in (mo.run(seed, filter, model, ys, inputs) for seed in range(seeds))]  # fmt: skip
+def seeds_of(settings, seeds):
+    """Errors before the kidnapping, seconds until the robot is found again, and errors from then on, `(seeds, 3)`."""
+    job = load(settings, 1)
+    found = []
+    for seed in range(seeds):
+        history = mo.run(seed, job.filters["recovering"], job.model, job.ys, job.inputs)
+        found.append([float(scoring.score(history, job.scenario).rms), *scoring.found_again(history, job.scenario)])
+    return np.array(found)
 
 
 @pytest.mark.optimized
-def test_a_made_up_robot_is_found_again():
-    results = seeds_of(job.of_recording(simulated(1, seconds=500.0)), 2_000, 3 if NIGHT else 1)
-    assert all(first[0] < 200 and again[0] < 60 and again[1] < 2.0 for first, again in results), results
+def test_a_kidnapping_is_noticed():
+    job = load(Settings(seconds=400.0, kidnap=200.0), 1)
+    history = mo.run(0, job.filters["recovering"], job.model, job.ys, job.inputs)
+    drawn, begin = np.asarray(history.info.recovered), job.scenario.scored[job.scenario.kidnapped]
+    assert drawn[:begin].max() < 0.2 < drawn[begin : begin + 200].max()
+    assert scoring.score(history, job.scenario).rms < 1.0
 
 
 @pytest.mark.optimized
 @pytest.mark.night
 def test_the_robot_of_plaza_is_found_again():
-    """Of 20 seeds 19 are found again within 60 s, and are then within 0.8 m (root mean square)."""
-    scenario = job.of_recording(read_plaza(recorded("robot/Plaza1_.mat")))
-    results = seeds_of(scenario, AT, 20 if NIGHT else 3)
-    good = [again[0] <= 60 and again[1] <= 0.8 for _, again in results]
-    assert sum(good) >= 19, results
+    """Of 20 seeds 19 are within 1 m before, found again within 60 s, and are then within 0.8 m (root mean square)."""
+    found = seeds_of(Settings(data=str(recorded("robot/Plaza1_.mat")), start="unknown", kidnap=AT), 20)
+    assert (found[:, 0] <= 1.0).sum() >= 19, found
+    assert ((found[:, 1] <= 60) & (found[:, 2] <= 0.8)).sum() >= 19, found
+
+
+def test_what_is_cut_out_takes_no_time_and_no_turn_of_a_wheel():
+    whole = load(Settings(seconds=200.0), 1).scenario
+    made = load(Settings(seconds=200.0, kidnap=50.0), 1).scenario
+    at = made.kidnapped
+    assert np.hypot(*(made.truth[at] - made.truth[at - 1])[:2]) > 5 and np.array_equal(made.truth[:at], whole.truth[:at])
+    assert np.allclose(np.diff(made.times[made.scored]), 0.2) and len(made.truth) < len(whole.truth)
+    step = slice(made.scored[at - 1] + 1, made.scored[at] + 1)
+    assert np.allclose(made.inputs.forward[step], 0, atol=1e-5) and np.allclose(made.inputs.turn[step], 0, atol=1e-5)
+
+
+def test_it_is_shown_and_runs_again_from_its_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", "robot", "--seconds", "100", "--kidnap", "60", "--n", "200"]) == 0
+    assert "found_again_after_s" in json.loads(Path("out/summary.json").read_text())["results"]["recovering"]
+    assert main(["run", "out/robot.toml", "--out", "again"]) == 0
+    one, other = (mo.History.load(f"{folder}/recovering.npz").mean for folder in ("out", "again"))
+    assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("kidnap", [-1.0, 500.0, float("nan")])
+def test_a_kidnapping_outside_the_recording_is_refused(kidnap):
+    with pytest.raises(mo.MotesError) as error:
+        load(Settings(seconds=100.0, kidnap=kidnap), 0)
+    refused(error, "kidnap", "100", kidnap)

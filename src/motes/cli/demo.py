@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from motes.cli.asked import Asked, Run, applications, asked
 from motes.cli.options import refuse
-from motes.cli.records import choice_of
+from motes.cli.records import choice_of, is_spelled
 from motes.cli.run import carried_out
 
 if TYPE_CHECKING:
@@ -57,6 +57,12 @@ def write(path: Path, wish: Asked, job: "Job") -> None:
         "",
     ]
     text = toml.written(job.written(path.parent, wish.own()), path.parent)
-    tables = [toml.table(f"filters.{name}", choice_of(filter)) for name, filter in wish.filters(job, "filter", "filters").items()]
+    choices = {name: choice_of(filter) for name, filter in wish.filters(job, "filter", "filters").items()}
+    if not all(map(is_spelled, choices.values())):
+        # those of the application have functions of its own: it brings them along again
+        size = [] if wish.settings.n is None else [f"n = {wish.settings.n}", ""]
+        write_text(path, "\n".join([*head[:-1], *size, "", text]))
+        return
+    tables = [toml.table(f"filters.{name}", choice) for name, choice in choices.items()]
     about = "# the filters that are compared, each a table: kind is their name in Python, the other keys are their parameters"
     write_text(path, "\n".join([*head, text, about, *tables]))

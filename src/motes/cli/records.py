@@ -190,10 +190,19 @@ def with_size(filters: dict[str, Any], n: int) -> dict[str, Any]:
     """
     if n > MOST:
         refuse("n", f"at most {MOST} particles", n)
-    sized = {name for name, one in filters.items() if any(field.name == "n" for field in dataclasses.fields(one))}
-    if not sized:
+    found = {name: _sized(one, n) for name, one in filters.items()}
+    if all(one is filters[name] for name, one in found.items()):
         refuse("n", "filters with particles", ", ".join(filters))
-    return {name: dataclasses.replace(one, n=n) if name in sized else one for name, one in filters.items()}
+    return found
+
+
+def _sized(one: Any, n: int) -> Any:
+    """Return a filter with n particles, or one around such a filter; the same where it has none."""
+    names = {field.name for field in dataclasses.fields(one)}
+    if "n" in names:
+        return dataclasses.replace(one, n=n)
+    inner = _sized(one.filter, n) if "filter" in names else None
+    return one if inner is None or inner is one.filter else dataclasses.replace(one, filter=inner)
 
 
 def choice_of(record: Any) -> dict[str, Any]:
@@ -204,3 +213,8 @@ def choice_of(record: Any) -> dict[str, Any]:
         if field.init and not (value == field.default and type(value) is type(field.default)):
             found[field.name] = choice_of(value) if dataclasses.is_dataclass(value) else value
     return found
+
+
+def is_spelled(choice: Any) -> bool:
+    """Whether a table that chooses a record can be written: functions, which an application brings along, cannot."""
+    return all(map(is_spelled, choice.values())) if isinstance(choice, dict) else not callable(choice)

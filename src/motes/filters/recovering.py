@@ -40,7 +40,8 @@ class Recovering(Wrapper):
 
     Attributes:
         filter: whose law is a `Cloud`, such as `ParticleFilter`.
-        fresh: `(key, y, u, t)` draws one state `(x,)` where the system may be, knowing the measurement of the step.
+        fresh: `(key, y, u, t)` draws one state `(x,)` where the system may be, knowing the measurement of the step; NaN for a
+            state that the particle keeps, such as a sensor's bias.
         slow: share of the present evidence in the slow mean.
         fast: share of it in the fast mean.
         margin: how much lower the fast mean must be before anything is drawn; 1 is the form of the book, which draws at all times.
@@ -99,7 +100,7 @@ class Recovering(Wrapper):
             drawn = jax.vmap(lambda key: self._drawn(key, value_of(y), u, t, cloud.particles), out_axes=-1)(keys)
             new = random.uniform(random.child(key, random.UPDATE), (n,), cloud.log_weights.dtype) < rate
             kept = replace(cloud.resampled(chosen), ancestors=cloud.ancestors[chosen])
-            return replace(kept, particles=jnp.where(new, drawn, kept.particles)), jnp.mean(new, dtype=rate.dtype)
+            return replace(kept, particles=jnp.where(new & ~jnp.isnan(drawn), drawn, kept.particles)), jnp.mean(new, dtype=rate.dtype)
 
         cloud, share = jax.lax.cond(rate > 0, anew, lambda: (cloud, jnp.zeros_like(rate)))
         size = jnp.where(share > 0, logspace.effective_size(cloud.log_weights), info.ess)

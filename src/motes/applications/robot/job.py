@@ -9,10 +9,12 @@ import jax.numpy as jnp
 
 from motes.applications.interface import Job, Score
 from motes.applications.robot import scenario
+from motes.applications.robot.kidnapping import recovering
 from motes.applications.robot.pictures import robot_figure
 from motes.applications.robot.settings import Settings
 from motes.applications.robot.world import simulated
 from motes.filters.history import History
+from motes.filters.interface import Filter
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.io.recordings import read_plaza, write_plaza
 from motes.plotting.plot import plot
@@ -32,10 +34,11 @@ def load(settings: Settings, seed: int) -> "RobotJob":
         MotesError: a setting cannot be used.
     """
     recording = read_plaza(settings.data) if settings.data else simulated(seed, settings.seconds)
-    made = scenario.of_recording(recording, settings.odometry, settings.outliers, settings.start)
+    made = scenario.of_recording(recording, settings.odometry, settings.outliers, settings.start, settings.kidnap)
+    usual: Filter = MarginalizedParticleFilter(n=1_000, linear=("scale", "offset"))
     return RobotJob(
         model=made.model, ys=jnp.asarray(made.ys), inputs=made.inputs, times=made.times, scenario=made, recording=recording,
-        filters={"marginalized": MarginalizedParticleFilter(n=1_000, linear=("scale", "offset"))},
+        filters={"recovering": recovering(made.beacons, len(made.model.names))} if settings.kidnap else {"marginalized": usual},
         counted=("px", "py"), blocks={"position": ("px", "py")},
     )  # fmt: skip
 
@@ -63,7 +66,13 @@ class RobotJob(Job):
         found = scenario.score(history, self.scenario)
         numbers = (("rms", found.rms, "m", 2), ("worst", found.worst, "m", 2), ("final", found.final, "m", 2),
                    ("scale", found.scale, "", 4), ("scale sd", found.scale_sd, "", 4))  # fmt: skip
-        return tuple(Score(name, float(value), unit, digits) for name, value, unit, digits in numbers)
+        told = tuple(Score(name, float(value), unit, digits) for name, value, unit, digits in numbers)
+        if not self.scenario.kidnapped:
+            return told
+        seconds, rms = scenario.found_again(history, self.scenario)
+        lost = seconds == float("inf")
+        again = (("found again after", seconds, "s", 1), ("rms from then on", rms, "m", 2))
+        return (*told, *(Score(name, None if lost else value, unit, digits) for name, value, unit, digits in again))
 
     def verdict(self, history: History) -> str:
         """Say whether to trust the run."""

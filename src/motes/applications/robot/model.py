@@ -74,6 +74,7 @@ class DriveNoise:
         heading: radians per square root of a second.
         turn: heading, radians per square root of a radian turned.
         gyro: walk of the gyro's bias, radians per second per square root of a second.
+        scale: walk of the scale error, a share per square root of a second; particles that carry it need some.
         clutter: whether there is a seventh state, drawn anew at every step.
     """
 
@@ -82,13 +83,14 @@ class DriveNoise:
     heading: float = 0.005
     turn: float = 0.02
     gyro: float = 1e-5
+    scale: float = 0.0
     clutter: bool = static(default=False)
 
     def __call__(self, x: jax.Array, u: Step, t: Any) -> jax.Array:
         """Return the covariance for the inputs of one step."""
         position = self.slip**2 * jnp.abs(u.forward) + self.jitter**2 * u.dt
         heading = self.heading**2 * u.dt + self.turn**2 * jnp.abs(u.turn)
-        return jnp.diag(jnp.array([position, position, heading, self.gyro**2 * u.dt, 0, 0, *([1] * self.clutter)]))
+        return jnp.diag(jnp.array([position, position, heading, self.gyro**2 * u.dt, self.scale**2 * u.dt, 0, *([1] * self.clutter)]))
 
 
 @record

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.robot.fix import LOOK, located
+from motes.applications.robot.kidnapping import TRUST, carried, found_after
 from motes.applications.robot.model import DriveNoise, Step, range_only_model
 from motes.core import checks
 from motes.core.findings import Diagnosis, Finding
@@ -33,6 +34,8 @@ ANY_HEADING = 3.0
 """Radians: so wide a Gaussian is nearly even around the circle."""
 WIDE_JITTER = 0.1
 """Meters per square root of a second, until the place of an unknown start is found."""
+WANDERING = DriveNoise(slip=0.1, jitter=0.1, heading=0.01, turn=0.03, scale=1e-4)
+"""Of particles that carry all six states, and may be drawn anew."""
 UNLIKELY = 5.0
 """A scale that is off by so many standard deviations of its prior is no scale of these radios."""
 
@@ -52,7 +55,8 @@ class Scenario:
         truth: x, y, heading there, `(s, 3)`.
         dead_reckoning: x, y by odometry alone there, `(s, 2)`.
         beacons: places of the beacons, `(b, 2)`.
-        counted: whether a scored step counts, `(s,)`; those just after an unknown start do not.
+        counted: whether a scored step counts, `(s,)`; those just after an unknown start, and from a kidnapping on, do not.
+        kidnapped: the scored step at which the robot is elsewhere; 0 where it is never carried.
     """
 
     model: StateSpaceModel
@@ -64,6 +68,7 @@ class Scenario:
     dead_reckoning: np.ndarray
     beacons: np.ndarray
     counted: np.ndarray
+    kidnapped: int = 0
 
 
 class Score(NamedTuple):
@@ -102,16 +107,24 @@ def loaded(path: str | os.PathLike[str], odometry: str = "recorded", outliers: f
     return of_recording(read_plaza(path), odometry, outliers, start)
 
 
-def of_recording(recording: RangeOnlyRecording, odometry: str = "recorded", outliers: float = 0.0, start: str = "known") -> Scenario:
-    """Make a recording a job; see `load`."""
+def of_recording(
+    recording: RangeOnlyRecording, odometry: str = "recorded", outliers: float = 0.0, start: str = "known", kidnap: float = 0.0
+) -> Scenario:
+    """Make a recording a job; see `loaded`. With `kidnap` the robot is carried elsewhere after so many seconds."""
     checks.option("odometry", odometry, ("recorded", "drifting"))
     turns = recording.odometry[:, 2] if odometry == "recorded" else drifting_turns(recording)
-    return scenario(recording, turns, outliers, start)
+    return scenario(recording, turns, outliers, start, kidnap)
 
 
-def scenario(recording: RangeOnlyRecording, turns: np.ndarray, outliers: float = 0.0, start: str = "known") -> Scenario:
-    """Make a job of a recording with the given turns `(t - 1,)` of the odometry's steps, radians; the rest as for `load`."""
+def scenario(
+    recording: RangeOnlyRecording, turns: np.ndarray, outliers: float = 0.0, start: str = "known", kidnap: float = 0.0
+) -> Scenario:
+    """Make a job of a recording with the given turns `(t - 1,)` of the odometry's steps, radians; the rest as for `of_recording`."""
     checks.option("start", start, ("known", "unknown"))
+    kidnapped = 0
+    if kidnap:
+        kidnapped = int(np.searchsorted(recording.truth[:, 0], kidnap, "right"))
+        recording, turns = carried(recording, turns, kidnap)
     times, scored, ys = time_line(recording)
     steps = recording.truth[:, 0]
     forward = recording.odometry[:, 1]
@@ -132,12 +145,16 @@ def scenario(recording: RangeOnlyRecording, turns: np.ndarray, outliers: float =
         deviations, noise = np.array([*spread, *START_SD[2:]]), DriveNoise(jitter=WIDE_JITTER)
         deviations[2] = ANY_HEADING
     extra = [] if outliers == 0 else [1.0]
+    if kidnap:
+        noise = WANDERING
     initial = Gaussian(_floats([*place, 0, 0, 0, *(0 * one for one in extra)]), _floats(np.diag([*np.square(deviations), *extra])))
-    model = range_only_model(_floats(recording.beacons[:, 1:3]), initial, RANGE_SD, noise, outliers)
+    model = range_only_model(_floats(recording.beacons[:, 1:3]), initial, RANGE_SD * (TRUST if kidnap else 1.0), noise, outliers)
     ys = np.where((times > begin)[:, None], ys, np.nan)
     counted = np.full(len(scored), True) if start == "known" else steps > steps[0] + min(begin + SETTLING, 0.5 * (steps[-1] - steps[0]))
+    if kidnap:
+        counted &= np.arange(len(scored)) < kidnapped
     path = dead_reckoning(np.array([*recording.truth[0, 1:3], start_heading(recording, turns)]), forward, turns)
-    return Scenario(model, ys, inputs, times, scored, recording.truth[:, 1:4], path, recording.beacons[:, 1:3], counted)
+    return Scenario(model, ys, inputs, times, scored, recording.truth[:, 1:4], path, recording.beacons[:, 1:3], counted, kidnapped)
 
 
 def time_line(recording: RangeOnlyRecording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -238,6 +255,14 @@ def score(history: History, scenario: Scenario) -> Score:
         scale=history.mean[-1, scale],
         scale_sd=jnp.sqrt(history.cov[-1, scale, scale]),
     )
+
+
+def found_again(history: History, scenario: Scenario) -> tuple[float, float]:
+    """Return the seconds from the kidnapping until the robot is found, and the root mean square error, meters, from then on."""
+    times, error = scenario.times[scenario.scored], np.asarray(errors(history, scenario))
+    seconds = found_after(times, error, scenario.kidnapped)
+    later = times >= times[scenario.kidnapped] + seconds
+    return seconds, float(np.sqrt(np.mean(error[later] ** 2))) if later.any() else np.inf
 
 
 def diagnosed(history: History, scenario: Scenario) -> Diagnosis:

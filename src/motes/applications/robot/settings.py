@@ -15,6 +15,7 @@ class Settings:
         odometry: "recorded" as in the file, or "drifting": turns from the drifting path, 20 m off on their own.
         outliers: share of ranges that may be far off, such as 0.1; 0 for Gaussian errors.
         start: "known", or "unknown": sought by the first ranges, and scored two minutes later; take 5 000 particles.
+        kidnap: seconds after which the robot is carried 31 m away without knowing it (a part of the way is cut out); 0 for never.
     """
 
     data: str = field(default="", metadata={"path": True})
@@ -22,3 +23,4 @@ class Settings:
     odometry: Literal["recorded", "drifting"] = "recorded"
     outliers: float = 0.0
     start: Literal["known", "unknown"] = "known"
+    kidnap: float = 0.0
