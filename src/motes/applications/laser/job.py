@@ -76,7 +76,7 @@ class LaserJob(Job):
                 later = error[begin:end][self.times[begin:end] >= self.times[begin] + seconds]
                 none = not np.isfinite(seconds)
                 told += [Score(f"{what} after", None if none else seconds, "s", 1),
-                         Score("rms from then on", None if none else float(np.sqrt(np.mean(later**2))), "m")]  # fmt: skip
+                         Score(f"rms once {what}", None if none else float(np.sqrt(np.mean(later**2))), "m")]  # fmt: skip
         return tuple(told)
 
     def verdict(self, history: History) -> str:
