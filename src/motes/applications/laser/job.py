@@ -21,7 +21,6 @@ from motes.core import checks
 from motes.filters.history import History
 from motes.filters.particle import ParticleFilter
 from motes.filters.recovering import Recovering
-from motes.laws.clusters import clusters
 
 MAP, SCANS = "map.yaml", "scans.csv"
 
@@ -77,12 +76,12 @@ class LaserJob(Job):
                 later = error[begin:end][self.times[begin:end] >= self.times[begin] + seconds]
                 none = not np.isfinite(seconds)
                 told += [Score(f"{what} after", None if none else seconds, "s", 1),
-                         Score("rms from then on", None if none else float(np.sqrt(np.mean(later**2))), "m")]  # fmt: skip
+                         Score(f"rms once {what}", None if none else float(np.sqrt(np.mean(later**2))), "m")]  # fmt: skip
         return tuple(told)
 
     def verdict(self, history: History) -> str:
         """Say how many clusters the last law has, and whether to trust the run."""
-        weights = np.asarray(clusters(*history.state.law.weighted_points(), 8).weight)
+        weights = np.asarray(history.state.law.modes(8).weight)
         return f"At the end the robot is in one of {int((weights > 0.05).sum())} clusters. {history}"
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
