@@ -300,7 +300,9 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
     kept = forms.get("kept", {})
     known = {"mean": (steps, x), "cov": (steps, x, x), "mode_probabilities": (steps, None)}
     archive.agree(path, forms, {f"kept/{name}": (shape, "f") for name, shape in known.items() if isinstance(kept, dict) and name in kept})
-    if isinstance(kept, dict) and isinstance(kept.get("law"), dict):
+    law, state = kept.get("law") if isinstance(kept, dict) else None, last.get("state") if isinstance(last, dict) else None
+    # `keep.paths` keeps laws of another kind, which have no name in common
+    if isinstance(law, dict) and not (isinstance(state, dict) and state and law.keys().isdisjoint(state)):
         archive.repeats(path, forms, "kept/law", (steps,), "last/state", ())
 
 

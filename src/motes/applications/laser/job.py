@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.interface import Job, Score
+from motes.applications.interface import Job, Score, with_cloud
 from motes.applications.laser.grid import Grid, read_grid, write_grid
 from motes.applications.laser.model import anywhere, laser_model
 from motes.applications.laser.pictures import building_animation, building_figure
@@ -16,7 +16,6 @@ from motes.applications.laser.scans import Scans, read_scans, write_scans
 from motes.applications.laser.settings import Settings
 from motes.applications.laser.world import driven
 from motes.applications.robot.kidnapping import found_after
-from motes.applications.target_tracking.one import with_cloud
 from motes.core import checks
 from motes.filters.history import History
 from motes.filters.particle import ParticleFilter
