@@ -138,7 +138,7 @@ class LandmarkFilter(LookAheadFilter, TwoStageFilter):
     def init(self, key: jax.Array, model: Prepared) -> MapCloud:
         """Draw n particles, each with an empty map."""
         path = first_particles(key, model.path, self.n)
-        return MapCloud(path, Map.empty(model.map.landmarks, model.map.form, self.n))
+        return MapCloud(path, *Map.empty(model.map.landmarks, model.map.form, self.n))
 
     def predict(self, key: jax.Array, model: Prepared, state: MapCloud, u: Any, t: Any) -> MapCloud:
         """Resample where needed, then move by the dynamics (steps 1 and 2)."""
@@ -180,7 +180,7 @@ class LandmarkFilter(LookAheadFilter, TwoStageFilter):
 
 def _weighed(cloud: MapCloud, found: Sighted, log_likelihood: jax.Array, most: jax.Array) -> tuple[MapCloud, Info]:
     weights, info = weigh(cloud.log_weights, log_likelihood, most)
-    return MapCloud(replace(cloud.path, log_weights=weights), found.map), info
+    return MapCloud(replace(cloud.path, log_weights=weights), *found.map), info
 
 
 def _taken_in(model: Prepared, cloud: MapCloud, y: Any, u: Any, t: Any) -> Sighted:

@@ -70,12 +70,23 @@ class MapCloud(Law):
 
     Attributes:
         path: particles with their Gaussians.
-        map: their landmarks.
+        centers: of the landmarks, see `Map`, as the others.
+        covs: their covariances.
+        log_shares: log weights of their Gaussians.
+        seen: whether they have been sighted.
     """
 
     weighted = marks_ancestors = True
     path: MarginalCloud
-    map: Map
+    centers: jax.Array
+    covs: jax.Array
+    log_shares: jax.Array
+    seen: jax.Array
+
+    @property
+    def map(self) -> Map:
+        """The landmarks of all particles."""
+        return Map(self.centers, self.covs, self.log_shares, self.seen)
 
     @property
     def log_weights(self) -> jax.Array:
@@ -120,7 +131,7 @@ class MapCloud(Law):
 
     def resampled(self, ancestors: jax.Array) -> "MapCloud":
         """Return the cloud of the named particles `(n,)` with their maps, equal weights."""
-        return MapCloud(self.path.resampled(ancestors), Map(*(part[..., ancestors] for part in self.map)))
+        return MapCloud(self.path.resampled(ancestors), *(part[..., ancestors] for part in self.map))
 
     def not_resampled(self) -> "MapCloud":
         """Return the cloud as it is, each particle its own ancestor."""
@@ -132,7 +143,7 @@ class MapCloud(Law):
 
     def inflated(self, factor: float) -> "MapCloud":
         """Return the cloud with the covariance of the states, and of each landmark given them, times a factor."""
-        return MapCloud(self.path.inflated(factor), self.map._replace(covs=self.map.covs * factor))
+        return replace(self, path=self.path.inflated(factor), covs=self.covs * factor)
 
 
 def parts_of(law: Law) -> tuple[jax.Array, jax.Array, jax.Array]:
