@@ -305,3 +305,27 @@ def test_swaps_are_counted_once_and_tracks_stay_with_their_targets():
     assert followers(absent, short, 1.5).tolist() == [[0, 1], [0, 1], [-1, -1], [-1, -1], [1, -1], [1, -1]]
     with pytest.raises(mo.MotesError, match="swaps estimates: expected points"):
         mo.diagnostics.swaps(truth[0], truth[0], 1.0)
+
+
+def test_states_that_two_targets_share_are_refused_however_they_are_spelled():
+    base = mo.textbook.constant_velocity()
+    one = mo.Cluttered(mo.AdditiveGaussian(lambda x, u, t: x[:1], [[0.1]]), 0.9, clutter=0.1, plots=4)
+    for targets in ((("px", "py"), (0, 1)), ((2, -1), (0, 3))):
+        with pytest.raises(mo.MotesError, match="SeveralTargets targets: expected states of their own"):
+            mo.StateSpaceModel(base.initial, base.dynamics, mo.laws.SeveralTargets(one, targets), base.names)
+
+
+@pytest.mark.parametrize("several", [True, False])
+def test_a_detection_that_reaches_one_has_derivatives(several, double):
+    one = mo.Cluttered(mo.AdditiveGaussian(lambda x, u, t: x[:1], [[0.1]]), lambda x, u, t: jax.nn.sigmoid(40 * (x[0] + 1)),
+                       clutter=0.1, plots=4)  # fmt: skip
+    sensor = mo.laws.SeveralTargets(one, ((0,), (1,))) if several else one
+    dynamics = mo.LinearGaussian(np.eye(2), 0.1 * np.eye(2))
+
+    def evidence(place):
+        model = mo.StateSpaceModel(mo.Gaussian(jnp.array([place, 3.0]), 0.2 * jnp.eye(2)), dynamics, sensor)
+        return mo.run(0, mo.ExtendedKalmanFilter(), model, mo.plots([[[0.2], [3.1]], [[0.3], [2.8]]])).log_likelihood
+
+    slope = jax.grad(evidence)(0.1)
+    near = (evidence(0.1 + 1e-6) - evidence(0.1 - 1e-6)) / 2e-6
+    assert np.isfinite(slope) and float(slope) == pytest.approx(float(near), rel=1e-3)

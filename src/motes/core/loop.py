@@ -44,4 +44,4 @@ def loop(step: Callable[[C, Any], tuple[C, K]], first: C, rows: Any, count: jax.
 
 def with_first(first: K, rest: K) -> K:
     """Put what was kept of a first step before what was kept of the others, time axis first."""
-    return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, rest)
+    return jax.tree.map(lambda one, more: jnp.concatenate([jnp.asarray(one)[None], more]), first, rest)

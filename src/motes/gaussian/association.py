@@ -50,7 +50,7 @@ def conditioned(rule: Rule, sensor: Conditional, law: Gaussian, y: Any, u: Any, 
     if not isinstance(sensor, Cluttered):
         return rule.measured(sensor, law, y, u, t)
     shared, probability = sensor.shared(y.value), sensor.detected(law.center, u, t)
-    hit, miss = jnp.log(probability), shared.missed + jnp.log1p(-probability)
+    hit, miss = jnp.log(probability), shared.missed + missed(probability, -jnp.inf)
 
     def over(rows: jax.Array, gains: jax.Array) -> Correction:
         each = _of_each_plot(rule, sensor, law, rows, u, t)

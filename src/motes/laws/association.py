@@ -22,9 +22,10 @@ NEVER = -1e30
 """Log of what is impossible, finite so that derivatives of sums of it are zero."""
 
 
-def missed(probability: jax.Array) -> jax.Array:
-    """Log probability of no plot, of targets seen with some probability."""
-    return jnp.maximum(jnp.log1p(-probability), NEVER)
+def missed(probability: jax.Array, never: float = NEVER) -> jax.Array:
+    """Log probability of no plot, of targets seen with some probability; `never` of those that are always seen, with derivative zero."""
+    always = probability >= 1
+    return jnp.where(always, never, jnp.log1p(-jnp.where(always, 0, probability)))
 
 
 def gained(gains: jax.Array, log_density: jax.Array) -> jax.Array:

@@ -16,6 +16,7 @@ import numpy as np
 
 from motes.core import checks, random
 from motes.core.record import record, replace, static
+from motes.laws.association import missed
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, matrix_over, over_particles
 from motes.laws.custom import Custom
 from motes.laws.density import max_log_normal
@@ -203,7 +204,7 @@ class Cluttered(Conditional):
         """Log density of a scan given each particle, `(n,)`, with respect to that of plots z in their units, per plot."""
         rows = jnp.asarray(value_of(value))
         probability, shared = self.detected(X, u, t), self.shared(rows)
-        hit, miss = jnp.log(probability), jnp.log1p(-probability) + shared.missed
+        hit, miss = jnp.log(probability), missed(probability, -jnp.inf) + shared.missed
         seen = self.of_plots(X, u, t)
         total = jnp.broadcast_to(miss, X.shape[-1:])
         if rows.shape[0] <= CHUNK:

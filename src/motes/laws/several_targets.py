@@ -84,6 +84,10 @@ class SeveralTargets(Conditional):
         if unknown:
             checks.refuse("SeveralTargets targets", f"among the states {', '.join(names)}", repr(unknown[0]))
         found = tuple(tuple(places[state] % len(names) for state in own) for own in self.targets)
+        every = [place for own in found for place in own]
+        if len(set(every)) < len(every):
+            twice = next(place for place in every if every.count(place) > 1)
+            checks.refuse("SeveralTargets targets", "states of their own", f"{names[twice]!r} for two")
         return replace(self, targets=found, one=self.one.of_states(tuple(names[place] for place in found[0])))
 
     def of_each(self) -> list[Conditional]:
