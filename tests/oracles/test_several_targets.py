@@ -329,3 +329,19 @@ def test_a_detection_that_reaches_one_has_derivatives(several, double):
     slope = jax.grad(evidence)(0.1)
     near = (evidence(0.1 + 1e-6) - evidence(0.1 - 1e-6)) / 2e-6
     assert np.isfinite(slope) and float(slope) == pytest.approx(float(near), rel=1e-3)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"], indirect=True)
+def test_messages_of_what_is_hardly_possible_are_those_of_the_exact_sum(precision):
+    far = np.full((3, 4), -5000.0)
+    cases = {
+        "one plot far from all, a target's for sure": (far + np.diag([4990.0] * 3 + [0])[:3], [-3.0] * 3, [0, 0, 0, association.NEVER]),
+        "both want a plot that none can be without": ([[60.0, 0.0], [60.0, 0.0]], [-13.8] * 2, [0.0, 0.0]),
+        "a tree": ([[200.0], [200.0]], [-2.3] * 2, [0.0]),
+    }
+    for name, given in cases.items():
+        (wanted, exact), (total, found) = (how(*map(jnp.asarray, given)) for how in (association._summed, association._by_messages))
+        assert float(total) == pytest.approx(float(wanted), abs=0.7), name
+        np.testing.assert_allclose(found, exact, atol=0.01 if name != "both want a plot that none can be without" else 0.51)
+    nothing = association._by_messages(jnp.full((2, 1), 1.0), jnp.full(2, association.NEVER), jnp.zeros(1))[0]
+    assert float(nothing) == -np.inf

@@ -18,6 +18,8 @@ EXACT = 6
 """Targets whose associations are summed over; each more doubles the work."""
 ROUNDS = 60
 """Of messages."""
+HARDLY = -4e4
+"""What stands for the log of the impossible in messages: beside it hundredths of a nat are seen in single precision, too."""
 NEVER = -1e30
 """Log of what is impossible, finite so that derivatives of sums of it are zero."""
 
@@ -66,36 +68,36 @@ def _summed(hits: jax.Array, misses: jax.Array, false: jax.Array) -> tuple[jax.A
 
 
 def _by_messages(hits: jax.Array, misses: jax.Array, false: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Do what `associated` says, by belief propagation."""
-    tiny = jnp.finfo(hits.dtype).tiny ** 0.5
+    """Do what `associated` says, by belief propagation, in logarithms: what hardly any association allows is far below any power of two."""
     top = jnp.maximum(jnp.max(hits, axis=1, initial=NEVER), misses)
-    hit, miss = jnp.exp(hits - top[:, None]), jnp.maximum(jnp.exp(misses - top), tiny)[:, None]
-    nobodys = jnp.maximum(jnp.exp(false), tiny).reshape(-1, *[1] * (hits.ndim - 2))
+    hit, miss = hits - top[:, None], jnp.maximum(misses - top, HARDLY)[:, None]
+    nobodys = jnp.maximum(false, HARDLY).reshape(-1, *[1] * (hits.ndim - 2))
 
     def to_plots(of_plots: jax.Array) -> jax.Array:
-        return hit / (miss + _others(hit * of_plots, 1))
+        return hit - jnp.logaddexp(miss, _others(hit + of_plots, 1))
 
     def round_of(_: int, of_plots: jax.Array) -> jax.Array:
-        return 1 / (nobodys + _others(to_plots(of_plots), 0))
+        return -jnp.logaddexp(nobodys, _others(to_plots(of_plots), 0))
 
-    of_plots = jax.lax.fori_loop(0, ROUNDS, round_of, jnp.ones_like(hit))
+    of_plots = jax.lax.fori_loop(0, ROUNDS, round_of, jnp.zeros_like(hit))
     of_targets = to_plots(of_plots)
-    weighted = hit * of_plots
-    rows = miss[:, 0] + jnp.sum(weighted, axis=1)
-    # the sum by Bethe's free energy
-    total = jnp.sum(top + jnp.log(rows), axis=0) + jnp.sum(jnp.log(nobodys + jnp.sum(of_targets, axis=0)), axis=0)
-    total = total - jnp.sum(jnp.log1p(of_targets * of_plots), axis=(0, 1))
-    return jnp.where(total < 0.5 * NEVER, -jnp.inf, total), jnp.concatenate([miss, weighted], axis=1) / rows[:, None]
+    each = jnp.concatenate([miss, hit + of_plots], axis=1)
+    rows = jax.nn.logsumexp(each, axis=1)
+    # the sum by Bethe's free energy, beside that of the likeliest plot of each target
+    total = jnp.sum(rows, axis=0) + jnp.sum(jnp.logaddexp(nobodys, jax.nn.logsumexp(of_targets, axis=0)), axis=0)
+    total = total - jnp.sum(jax.nn.softplus(of_targets + of_plots), axis=(0, 1))
+    return jnp.where(total < 0.5 * HARDLY, -jnp.inf, jnp.sum(top, axis=0) + total), jnp.exp(each - rows[:, None])
 
 
 def _others(values: jax.Array, axis: int) -> jax.Array:
-    """Sum over all others along an axis; not the whole less each, which would be rounding where one is most of it."""
-    zero = jnp.zeros_like(jax.lax.slice_in_dim(values, 0, 1, axis=axis))
+    """Log of the sum over all others along an axis; not the whole less each, which would be rounding where one is most of it."""
+    none = jnp.full_like(jax.lax.slice_in_dim(values, 0, 1, axis=axis), NEVER)
 
     def before(values: jax.Array) -> jax.Array:
-        return jax.lax.slice_in_dim(jnp.cumsum(jnp.concatenate([zero, values], axis), axis=axis), 0, values.shape[axis], axis=axis)
+        sums = jax.lax.cumlogsumexp(jnp.concatenate([none, values], axis), axis=axis)
+        return jax.lax.slice_in_dim(sums, 0, values.shape[axis], axis=axis)
 
-    return before(values) + jnp.flip(before(jnp.flip(values, axis)), axis)
+    return jnp.logaddexp(before(values), jnp.flip(before(jnp.flip(values, axis)), axis))
 
 
 def nobody(count: int, shape: tuple[int, ...], dtype: jnp.dtype) -> jax.Array:
