@@ -19,7 +19,7 @@ from motes.gaussian.sigma_points import Cubature
 from motes.smoothers.interface import Smoother
 
 MAPS = "LandmarkFilter"
-"""Asks for a model with landmarks: `test_landmarks.py` asks it the same rules."""
+"""Asks for a model with landmarks: `test_map_contract.py` asks it the same rules."""
 SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
 
 PARAMETERS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (33, 31),
@@ -50,8 +50,8 @@ def _classes(kind):
 
 
 def filter_classes():
-    """Every concrete filter class, by name."""
-    return _classes(Filter)
+    """Every concrete filter class that takes a model without landmarks, by name."""
+    return {name: cls for name, cls in _classes(Filter).items() if name != MAPS}
 
 
 def smoother_classes():
@@ -97,7 +97,7 @@ def examples():
     """Filters to test: one of each class, and the variants that take other paths through a class."""
     import motes as mo
 
-    found = {name: example(cls) for name, cls in filter_classes().items() if name != MAPS}
+    found = {name: example(cls) for name, cls in filter_classes().items()}
     found["PaRIS"] = example(mo.smoothers.PaRIS, n=100)  # whose cost is that of n^2
     proposal = mo.AdditiveGaussian(lambda x, uy, t: 0.8 * x, [[1.5, 0.2], [0.2, 1.0]])
     found["ParticleFilter, proposal"] = mo.ParticleFilter(n=300, proposal=proposal)

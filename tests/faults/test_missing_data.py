@@ -76,8 +76,8 @@ def at_the_loop(monkeypatch):
     monkeypatch.setattr(running, "_run", see(3))
     monkeypatch.setattr(parallel, "_run", see(1))
     monkeypatch.setattr(smoothing, "_smooth", see(4))
-    monkeypatch.setattr(stream, "_start", lambda *args: args)
-    monkeypatch.setattr(stream, "_take_in", see(3))
+    monkeypatch.setattr(stream, "start", lambda *args: args)
+    monkeypatch.setattr(stream, "take_in", see(3))
 
 
 def calls(ys, history):
