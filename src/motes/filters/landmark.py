@@ -21,7 +21,7 @@ from motes.filters.clouds import resample_and_move
 from motes.filters.info import Info, weigh
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.filters.look_ahead import Ahead, LookAheadFilter, keys_of
-from motes.filters.marginal_moves import first_particles, moved
+from motes.filters.marginal_moves import expected_places, first_particles, moved
 from motes.laws.conditional import AdditiveGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.map_cloud import Map, MapCloud
@@ -159,16 +159,11 @@ class LandmarkFilter(LookAheadFilter, TwoStageFilter):
         resample_key, noise_key = keys_of(key)
         parents = resample(resample_key, self.scheme, self.policy, state)
         example = state.path.particles[:, 0]
-        log_ratio = jnp.zeros(parents.log_weights.shape, parents.log_weights.dtype)
-
-        def drawn(key: jax.Array, expected: Gaussian) -> jax.Array:
-            nonlocal log_ratio
-            informed = _informed(model, parents.map, expected, y, u, t)
-            offset = informed.sample(key, self.n) - expected.center
-            log_ratio = Gaussian(jnp.zeros_like(offset), expected.covariance).log_prob(offset) - informed.log_prob(offset + expected.center)
-            return offset
-
-        after = replace(parents, path=moved(noise_key, model.path, parents.path, example, u, t, drawn=drawn)).gathered(model.circular)
+        expected = expected_places(model.path, parents.path, example, u, t)
+        informed = _informed(model, parents.map, expected, y, u, t)
+        offset = informed.sample(noise_key, self.n) - expected.center
+        log_ratio = Gaussian(jnp.zeros_like(offset), expected.covariance).log_prob(offset) - informed.log_prob(offset + expected.center)
+        after = replace(parents, path=moved(noise_key, model.path, parents.path, example, u, t, offset=offset)).gathered(model.circular)
         found = _taken_in(model, after, y, u, t)
         cloud, info = _weighed(after, found, found.log_likelihood + log_ratio, jnp.full((), jnp.inf, log_ratio.dtype))
 
@@ -227,7 +222,7 @@ def _sighted(
     known = landmark >= 0
     corrected, log_evidence, most = _of_each_gaussian(model, one, states, z, u, t)
     total = jax.nn.logsumexp(corrected.log_shares, axis=0)
-    near = jnp.min(2 * (most - log_evidence), axis=0) <= model.sensor.limit
+    near = jnp.any(model.sensor.is_near(log_evidence, most), axis=0)
     corrected = corrected._replace(log_shares=corrected.log_shares - total)
     centers, covs, log_shares = jax.vmap(model.born, in_axes=(-1, None), out_axes=-1)(states, z)
     born = Map(centers, covs, log_shares, jnp.ones_like(one.seen))
@@ -253,7 +248,7 @@ def _nearest(model: MapModel, landmarks: Map, states: jax.Array, z: jax.Array, u
 
     def weighed(one: Map) -> tuple[jax.Array, jax.Array]:
         corrected, log_evidence, most = _of_each_gaussian(model, one, states, z, u, t)
-        near = one.seen & (jnp.min(2 * (most - log_evidence), axis=0) <= model.sensor.limit)
+        near = one.seen & jnp.any(model.sensor.is_near(log_evidence, most), axis=0)
         return jnp.where(near, jax.nn.logsumexp(corrected.log_shares, axis=0), -jnp.inf), near
 
     each, near = jax.lax.map(weighed, landmarks)
@@ -281,7 +276,8 @@ def _informed(model: Prepared, landmarks: Map, expected: Gaussian, y: Any, u: An
         predicted, by_state, by_place = sensor.slopes(states, center, u, t)
         noise = Gaussian(jnp.zeros_like(center), cov).through(by_place, jnp.zeros_like(predicted), sensor.noise).covariance
         done = law.corrected(sensor.innovation(z, predicted), by_state[:, kept], noise)
-        usable = (index >= 0) & found.seen & (jnp.exp(log_share) > SURE) & (2 * (done.max_log_evidence - done.log_evidence) <= sensor.limit)
+        near = sensor.is_near(done.log_evidence, done.max_log_evidence)
+        usable = (index >= 0) & found.seen & (jnp.exp(log_share) > SURE) & near
         return Gaussian(jnp.where(usable, done.law.center, law.center), jnp.where(usable, done.law.covariance, law.covariance))
 
     return _over_sightings(seen, one, Gaussian(expected.center, wide)) if own else expected

@@ -1,6 +1,5 @@
 """Particles that carry a Gaussian each: how they begin, and how they move (steps 2 and 3 of `filters/marginalized.py`)."""
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -27,7 +26,7 @@ def first_particles(key: jax.Array, model: SplitModel, n: int) -> MarginalCloud:
 
 def moved(  # noqa: PLR0913 (a step of a filter, and how places are drawn)
     key: jax.Array, model: SplitModel, cloud: MarginalCloud, example: jax.Array, u: Any, t: Any, first: jax.Array | None = None,
-    drawn: Callable[[jax.Array, Gaussian], jax.Array] | None = None,
+    offset: jax.Array | None = None,
 ) -> MarginalCloud:  # fmt: skip
     """Move the particles, then correct and predict their Gaussians (steps 2 and 3).
 
@@ -39,28 +38,34 @@ def moved(  # noqa: PLR0913 (a step of a filter, and how places are drawn)
         u: inputs of the step.
         t: its number.
         first: where the first particle goes `(p,)`, for conditional sequential Monte Carlo; None draws it like the others.
-        drawn: gives of a key and the Gaussians of what is to come how far each goes from its mean `(p, n)`; None draws from them.
+        offset: how far each goes from the mean of `expected_places`, `(p, n)`; None draws from it.
     """
-    drawn = _offsets if drawn is None else drawn
     of_p, of_k = (model.over(part, cloud.particles, example, u, t) for part in ("particle", "kalman"))
     angles = tuple(place for place in model.places if place < of_p.f.shape[0])
     if model.drives:
         # 2. draw x_p' with the spread of x_k; 3. correct the Gaussians by it
         expected = cloud.kalman.through(of_p.A, of_p.f, of_p.Q)
-        offset = drawn(key, expected)
+        offset = _offset(key, expected) if offset is None else offset
         if first is not None:
             offset = offset.at[:, 0].set(wrap(first - expected.center[:, 0], angles))
         informed, x_p = cloud.kalman.corrected(offset, of_p.A, of_p.Q).law, expected.center + offset
     else:
         # 2. draw x_p', which tells nothing of x_k
-        informed, x_p = cloud.kalman, of_p.f + drawn(key, Gaussian(of_p.f, of_p.Q))
+        offset = _offset(key, Gaussian(of_p.f, of_p.Q)) if offset is None else offset
+        informed, x_p = cloud.kalman, of_p.f + offset
         x_p = x_p if first is None else x_p.at[:, 0].set(near(first, of_p.f[:, 0], angles))
     # 3. predict the Gaussians
     f, A, Q = _decorrelated(of_p, of_k, model.cross_cov(cloud.particles, example, u, t), x_p)
     return replace(cloud, particles=x_p, kalman=informed.through(A, f, Q))
 
 
-def _offsets(key: jax.Array, expected: Gaussian) -> jax.Array:
+def expected_places(model: SplitModel, cloud: MarginalCloud, example: jax.Array, u: Any, t: Any) -> Gaussian:
+    """Return the Gaussians from which `moved` draws where each particle goes."""
+    of_p = model.over("particle", cloud.particles, example, u, t)
+    return cloud.kalman.through(of_p.A, of_p.f, of_p.Q) if model.drives else Gaussian(of_p.f, of_p.Q)
+
+
+def _offset(key: jax.Array, expected: Gaussian) -> jax.Array:
     return Gaussian(jnp.zeros_like(expected.center), expected.covariance).sample(key, expected.center.shape[-1])
 
 

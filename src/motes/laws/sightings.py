@@ -120,6 +120,10 @@ class LandmarkSensor:
         expected, _, slope = self.slopes(X, landmarks.center, u, t)
         return landmarks.corrected(self.innovation(z, expected), slope, self.noise)
 
+    def is_near(self, log_evidence: jax.Array, most: jax.Array) -> jax.Array:
+        """Tell whether a sighting of some log density, at most so large, can be of a landmark."""
+        return 2 * (most - log_evidence) <= self.limit
+
     def among_outliers(self, log_likelihood: jax.Array) -> jax.Array:
         """Return log likelihoods when a share of sightings is of nothing."""
         return log_likelihood if self.share is None else jnp.logaddexp(jnp.log1p(-self.share) + log_likelihood, self.of_nothing)

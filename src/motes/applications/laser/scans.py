@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motes.io.archive import whole_file
 from motes.io.files import reject
+from motes.io.result_table import Table
 from motes.io.tables import column_names, read_table
 
 POSE = ("x", "y", "heading")
@@ -57,6 +57,5 @@ def write_scans(path: str | os.PathLike[str], scans: Scans) -> None:
     """Write scans as `read_scans` reads them."""
     names = ["time", "forward", "turn", *(f"range_{i}" for i in range(scans.ranges.shape[1])), *(POSE if scans.poses is not None else ())]
     blocks = [scans.times, scans.forward, scans.turn, scans.ranges, *([scans.poses] if scans.poses is not None else [])]
-    rows = [",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in np.column_stack(blocks)]
-    with whole_file(Path(path)) as file:
-        file.write(("\n".join([",".join(names), *rows]) + "\n").encode())
+    rows = [tuple(None if np.isnan(v) else float(v) for v in row) for row in np.column_stack(blocks)]
+    Table(tuple(names), tuple(rows)).save(Path(path))
