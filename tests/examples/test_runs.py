@@ -36,7 +36,7 @@ def test_tanks_are_identified(tanks, tmp_path):
     recording = tanks["made_up"](400)
     true = tanks["foretold"](np.array([0.24, 0.14, 0.14, 0.2, 0.9]), recording)
     assert abs(np.std(true - recording.y_test) - 0.05) < 4.9 * 0.05 / 800**0.5
-    history = tanks["passed"](mo.MarginalizedParticleFilter(n=200), tanks["tanks"](recording.y[0], 0.0, 0.05), recording, 2)
+    history = tanks["passed"](mo.MarginalizedParticleFilter(n=1_000), tanks["tanks"](recording.y[0], 0.0, 0.05), recording, 2)
     assert all(tanks["rmse"](mean, recording) < 0.4 for mean in np.asarray(history.mean)[:, -1, 2:])
     k = tanks["fitted"](recording)
     assert tanks["rmse"](k, recording) < 0.1
