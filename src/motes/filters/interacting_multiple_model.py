@@ -92,7 +92,7 @@ class InteractingMultipleModel(Gated, TwoStageFilter):
         counted = jnp.where(jnp.isfinite(state.log_weights), state.parts.covariance, 0)
         within = jnp.einsum("abi,ij->abj", counted, jnp.exp(log_mixing), precision=jax.lax.Precision.HIGHEST)
         center, cov = between.center, linalg.symmetric(between.covariance + within)
-        mixed = [Gaussian(center[:, j, None], cov[..., j, None]) for j in range(model.count)]
+        mixed = jax.tree.map(lambda leaf: leaf[..., None], Gaussian(center, cov))
         # 2. predict
         return replace(state, parts=predicted(self.rule, model, mixed, u, t), log_weights=log_weights)
 

@@ -123,7 +123,7 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         ancestors, log_weights = self._reduced(random.child(key, random.RESAMPLE), state.log_weights)
         kept, log_weights = gradients.noticed((state.resampled(ancestors), log_weights))
         log_transition = model.log_transition(u, t)[kept.part_modes].T
-        moved = predicted(self.rule, model, [kept.parts] * model.count, u, t)
+        moved = predicted(self.rule, model, jax.tree.map(lambda leaf: leaf[..., None, :], kept.parts), u, t)
         return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + log_transition)
 
     def correct(

@@ -138,10 +138,10 @@ class PointMassFilter(TwoStageFilter):
 
         weights = pairs.against_all(arriving, points.T, points.shape[-1])
         # dynamics without noise in some direction miss the nodes
-        parts, states = [model.dynamics], points
+        parts, states = [(model.dynamics, u)], points
         if isinstance(model.dynamics, SwitchingDynamics):
-            parts, states = model.dynamics.parts, points[:-1]
-        found = [_noise_gaps(part, states, u, t) for part in parts if isinstance(part, AdditiveGaussian)]
+            parts, states = model.dynamics.of_modes(u), points[:-1]
+        found = [_noise_gaps(part, states, seen, t) for part, seen in parts if isinstance(part, AdditiveGaussian)]
         missing, still = (jnp.stack(each) for each in zip(*found, strict=True)) if found else (jnp.zeros(1, bool),) * 2
         misses = jnp.any(missing) & ~(jnp.all(still) & (len(found) == len(parts)))
         return self._gridded(model, state, jnp.where(misses, jnp.nan, weights), jnp.any(missing))

@@ -29,9 +29,9 @@ def rounding(model: Model, ys: Any, u: Any) -> jax.Array:
         ys: measurements `(t, y)`.
         u: inputs of the first step.
     """
-    models = model.each_mode()
-    found = [_of_one(part, ys, u) for part in models if part.sensor.has_moments and not isinstance(part.initial, Foreign)]
-    return jnp.max(jnp.stack(found), axis=0) if found else jnp.zeros((2, 1 if isinstance(ys, Observed) else ys.shape[1]), model.dtype)
+    if not all(part.sensor.has_moments and not isinstance(part.initial, Foreign) for part in model.each_mode()):
+        return jnp.zeros((2, 1 if isinstance(ys, Observed) else ys.shape[1]), model.dtype)
+    return jnp.max(model.in_each_mode(u, lambda part, u, _: _of_one(part, ys, u)), axis=-2)
 
 
 def _of_one(model: StateSpaceModel, ys: jax.Array, u: Any) -> jax.Array:

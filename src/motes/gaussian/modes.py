@@ -1,6 +1,5 @@
 """A Gaussian, or a block of them, for each mode of a jump-Markov system: moved, corrected and asked for what they expect mode by mode."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -11,28 +10,30 @@ from motes.gaussian.rule import Rule
 from motes.laws.gaussian import Correction, Gaussian
 from motes.laws.mode_mixture import ModeMixture
 from motes.models.jump_markov import JumpMarkovModel
+from motes.models.state_space import StateSpaceModel
 
 
 def initial_gaussians(model: JumpMarkovModel) -> Gaussian:
     """Return the m Gaussians with the moments of the initial laws of the modes."""
     laws = [part.initial for part in model.models]
-    return Gaussian(jnp.stack([law.mean() for law in laws], axis=-1), jnp.stack([law.cov() for law in laws], axis=-1))
+    found = Gaussian(jnp.stack([law.mean() for law in laws], axis=-1), jnp.stack([law.cov() for law in laws], axis=-1))
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (*leaf.shape[:-1], model.count)), found)
 
 
-def predicted(rule: Rule, model: JumpMarkovModel, blocks: Sequence[Gaussian], u: Any, t: Any) -> Gaussian:
+def predicted(rule: Rule, model: JumpMarkovModel, blocks: Gaussian, u: Any, t: Any) -> Gaussian:
     """Move a block of Gaussians by the dynamics of each mode.
 
     Args:
         rule: for moments.
         model: the system.
-        blocks: a batch of k Gaussians for each mode.
+        blocks: k Gaussians for each mode, means `(x, m, k)` and covariances `(x, x, m, k)`; or, with an axis of one in place of m, for all.
         u: inputs of the step.
         t: the time moved to.
 
     Returns:
         All of them, means `(x, m k)` and covariances `(x, x, m k)`, mode after mode.
     """
-    return _joined([rule.through(part.dynamics, block, u, t) for part, block in zip(model.models, blocks, strict=True)])
+    return _joined(model.in_each_mode(u, lambda part, u, block: rule.through(part.dynamics, block, u, t), blocks))
 
 
 def measured(rule: Rule, model: JumpMarkovModel, law: ModeMixture, y: jax.Array, u: Any, t: Any) -> Correction:
@@ -49,10 +50,14 @@ def measured(rule: Rule, model: JumpMarkovModel, law: ModeMixture, y: jax.Array,
     Returns:
         The correction; components without weight have the highest maximum there is, so that a good fit of theirs hides no collapse.
     """
-    done = [conditioned(rule, part.sensor, block, y, u, t) for part, block in zip(model.models, _blocks(model, law), strict=True)]
-    evidence, max_log_evidence = (jnp.concatenate([getattr(one, name) for one in done]) for name in ("log_evidence", "max_log_evidence"))
-    max_log_evidence = jnp.where(jnp.isfinite(law.log_weights), max_log_evidence, jnp.finfo(max_log_evidence.dtype).max)
-    return Correction(_joined([one.law for one in done]), evidence, max_log_evidence)
+
+    def of_one(part: StateSpaceModel, u: Any, block: Gaussian) -> tuple[Gaussian, jax.Array, jax.Array]:
+        done = conditioned(rule, part.sensor, block, y, u, t)
+        return done.law, done.log_evidence[None], done.max_log_evidence[None]
+
+    after, evidence, highest = _joined(model.in_each_mode(u, of_one, _blocks(model, law)))
+    highest = jnp.where(jnp.isfinite(law.log_weights), highest[0], jnp.finfo(highest.dtype).max)
+    return Correction(after, evidence[0], highest)
 
 
 def expected(rule: Rule, model: JumpMarkovModel, law: ModeMixture, columns: jax.Array, u: Any, t: Any) -> Gaussian:
@@ -66,15 +71,14 @@ def expected(rule: Rule, model: JumpMarkovModel, law: ModeMixture, columns: jax.
         u: inputs of the step.
         t: the time.
     """
-    some = [jax.tree.map(lambda leaf: leaf[..., columns], block) for block in _blocks(model, law)]
-    return _joined([rule.through(part.sensor, block, u, t) for part, block in zip(model.models, some, strict=True)])
+    some = jax.tree.map(lambda leaf: leaf[..., columns], _blocks(model, law))
+    return _joined(model.in_each_mode(u, lambda part, u, block: rule.through(part.sensor, block, u, t), some))
 
 
-def _blocks(model: JumpMarkovModel, law: ModeMixture) -> list[Gaussian]:
-    centers, covs = (jnp.split(leaf, model.count, axis=-1) for leaf in (law.parts.center, law.parts.covariance))
-    return [Gaussian(*block) for block in zip(centers, covs, strict=True)]
+def _blocks(model: JumpMarkovModel, law: ModeMixture) -> Gaussian:
+    return jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:-1], model.count, -1), law.parts)
 
 
-def _joined(blocks: list[Gaussian]) -> Gaussian:
-    """Put batches of Gaussians one behind the other."""
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=-1), *blocks)
+def _joined(blocks: Any) -> Any:
+    """Put batches `(..., m, k)` one behind the other, `(..., m k)`."""
+    return jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:-2], -1), blocks)

@@ -20,7 +20,7 @@ from motes.laws.custom import Custom
 from motes.laws.independent import Stacked, Together
 from motes.laws.observed import Observed, value_of
 from motes.laws.several_targets import SeveralTargets
-from motes.laws.switching import SwitchingDynamics, SwitchingSensor
+from motes.laws.switching import SwitchingDynamics, SwitchingSensor, WithMode
 from motes.models.interface import Model, Wrap, exchanged
 from motes.tracing.identity import canonical_function
 
@@ -62,7 +62,8 @@ def canonical_conditional(name: str, part: Conditional, x: Any, u: Any, value: A
         rest = _without_mode(x)
         chain = isinstance(part, SwitchingDynamics)
         value = _without_mode(value) if chain else value
-        known = {"parts": tuple(canonical_conditional(f"{name} of mode {m}", each, rest, u, value) for m, each in enumerate(part.parts))}
+        own = WithMode(u, t) if len(part.parts) < part.count else u
+        known = {"parts": tuple(canonical_conditional(f"{name} of mode {m}", each, rest, own, value) for m, each in enumerate(part.parts))}
         return exchanged(part, known | ({"transition": canonical_function(part.transition, (u, t), "transition(u, t)")} if chain else {}))
     if isinstance(part, (Stacked, Together)):
         own = value_of(value) if isinstance(value, Observed) else {}

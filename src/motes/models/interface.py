@@ -13,6 +13,7 @@ from motes.core import checks
 from motes.core.record import replace
 from motes.core.types import Inputs
 from motes.laws.conditional import Conditional
+from motes.laws.switching import in_each_mode
 from motes.models.correlated import Drive
 
 R = TypeVar("R")
@@ -82,8 +83,12 @@ class Model(ABC):
         """Return the same system as a `StateSpaceModel` of the same states; modes, where there are some, are one more state, the last."""
 
     def each_mode(self) -> tuple[Any, ...]:
-        """Return a state-space model for each mode; a system without modes has one."""
+        """Return the kinds of state-space model that the modes have: one for each mode, or one where they share it, or there are none."""
         return (self.as_state_space(),)
+
+    def in_each_mode(self, u: Any, ask: Callable[..., Any], given: Any = ()) -> Any:
+        """Ask the state-space model of each mode; a system without modes has one. See `laws.switching.in_each_mode`."""
+        return in_each_mode(self.each_mode(), 1, u, ask, given)
 
     def rebuilt(self, wrap: Wrap, u: Any, y: Any) -> Self:
         """Return the model with its functions exchanged, so that equal models share compiled code; as it is by default.

@@ -30,9 +30,8 @@ from motes.laws.density import log_normal, noiseless
 from motes.laws.gaussian import Gaussian
 from motes.laws.mixture import Mixture
 from motes.laws.mode_mixture import ModeMixture
-from motes.laws.switching import of_mode
 from motes.models.jump_markov import JumpMarkovModel
-from motes.models.state_space import at_step
+from motes.models.state_space import StateSpaceModel, at_step
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_laws
 from motes.smoothers.parents import FOLLOWED
 
@@ -129,16 +128,19 @@ class MixtureSmoother(Smoother):
             modes `(modes,)`.
         """
         # 2. weights of the components
-        moves = [self.rule.linearized(part.dynamics, law.parts, u, t) for part in model.models]
-        covs = [move.over(law.parts).covariance for move in moves]
+        def moved(part: StateSpaceModel, u: Any, parts: Gaussian) -> tuple[Linearized, jax.Array]:
+            move = self.rule.linearized(part.dynamics, parts, u, t)
+            return move, move.over(parts).covariance
+
+        moves, covs = model.in_each_mode(u, moved, jax.tree.map(lambda leaf: leaf[..., None, :], law.parts))
         log_transition = model.log_transition(u, t)[law.part_modes]
-        size = jnp.max(jnp.abs(jnp.concatenate([after.states, *(move.prediction for move in moves)], axis=1)), axis=1)
+        size = jnp.maximum(jnp.max(jnp.abs(after.states), axis=1), jnp.max(jnp.abs(moves.prediction), axis=(1, 2)))
 
         def log_weights(state: jax.Array, mode: jax.Array, trusted: float | None) -> jax.Array:
-            each = [log_normal(wrap(state[:, None] - move.prediction, model.circular), cov, None, size, noiseless(move.noise), trusted)
-                    for move, cov in zip(moves, covs, strict=True)]  # fmt: skip
+            prediction, noise, cov = moves.prediction[:, mode], moves.noise[:, :, mode], covs[:, :, mode]
+            density = log_normal(wrap(state[:, None] - prediction, model.circular), cov, None, size, noiseless(noise), trusted)
             possible = law.log_weights > -jnp.inf
-            return jnp.where(possible, law.log_weights + log_transition[:, mode] + of_mode(mode, each), -jnp.inf)
+            return jnp.where(possible, law.log_weights + log_transition[:, mode] + density, -jnp.inf)
 
         def parent(row: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array, jax.Array]:
             state, mode, point = row
@@ -151,7 +153,7 @@ class MixtureSmoother(Smoother):
         parents, known, probabilities = pairs.against_all(parent, rows, model.count * law.log_weights.shape[0])
         # 3. condition
         chosen = law.resampled(parents)
-        move = Linearized(*(of_mode(after.modes, [leaf[..., parents] for leaf in leaves]) for leaves in zip(*moves, strict=True)))
+        move = Linearized(*(leaf[..., after.modes, parents] for leaf in moves))
         done = chosen.parts.corrected(wrap(after.states - move.prediction, model.circular), move.slope, move.noise).law
         return Gaussian(jnp.where(known, done.center, jnp.nan), done.covariance), chosen.part_modes, jnp.mean(probabilities, axis=0)
 
