@@ -42,11 +42,19 @@ def measured(steps):
     return ys
 
 
-def enumerated(ys, chain=lambda t: CHAIN):
-    """Log likelihood, mean and mode probabilities at the last step, by a Kalman filter for every path of modes."""
+def alike():
+    """The same system as one model whose functions take the mode; the initial law is that of the first mode in all."""
+    a, q, h, r = (jnp.asarray(np.stack(parts)) for parts in (A, Q, H, R))
+    dynamics = mo.LinearGaussian(lambda x, u, t, mode: a[mode], lambda x, u, t, mode: q[mode])
+    sensor = mo.AdditiveGaussian(lambda x, u, t, mode: h[mode] @ x, lambda x, u, t, mode: r[mode])
+    return mo.JumpMarkovModel(START, CHAIN, model=mo.StateSpaceModel(mo.Gaussian(MEAN[0], COV[0]), dynamics, sensor, ("a", "b")), modes=3)
+
+
+def enumerated(ys, chain=lambda t: CHAIN, of=-1, starts=(MEAN, COV)):
+    """Log likelihood, mean at the last step and mode probabilities at one, by a Kalman filter for every path of modes."""
     totals, means, last = [], [], []
     for path in product(range(3), repeat=len(ys)):
-        m, P, total = MEAN[path[0]], COV[path[0]], np.log(START[path[0]])
+        m, P, total = starts[0][path[0]], starts[1][path[0]], np.log(START[path[0]])
         for t, (mode, y) in enumerate(zip(path, ys, strict=True)):
             if t:
                 with np.errstate(divide="ignore"):
@@ -60,7 +68,7 @@ def enumerated(ys, chain=lambda t: CHAIN):
                 total -= 0.5 * (off @ np.linalg.solve(S, off) + np.linalg.slogdet(2 * np.pi * S)[1])
                 gain = P @ h.T @ np.linalg.inv(S)
                 m, P = m + gain @ off, P - gain @ h @ P
-        totals.append(total), means.append(m), last.append(path[-1])
+        totals.append(total), means.append(m), last.append(path[of])
     evidence = logsumexp(totals)
     weights = np.exp(np.array(totals) - evidence)
     return evidence, weights @ np.array(means), np.bincount(last, weights, 3)
@@ -221,3 +229,42 @@ def test_nile_with_rare_breaks_has_the_likelihood_of_a_grid():
     keys = jax.random.split(jax.random.key(3), 20)
     few = jax.jit(jax.vmap(lambda key: mo.run(key, mo.JumpMarkovFilter(n=100), model, jnp.asarray(flow)).log_likelihood))(keys)
     assert abs(float(few.mean()) - float(grid)) < 0.1 and float(few.std()) < 0.05
+
+
+@pytest.mark.parametrize("filter", each({"one model": 0, "a model for each": 1}, {"one model"}))
+def test_modes_known_with_a_delay_equal_enumeration(filter, double):
+    """Probabilities of each mode given the measurements of two more steps, with rows missing; the last steps have fewer after them."""
+    ys = measured(5)
+    model, starts = (chained(), (MEAN, COV)) if filter else (alike(), ([MEAN[0]] * 3, [COV[0]] * 3))
+    for n, lag in ((81, 2), (81, 4)):
+        history = mo.run(0, mo.JumpMarkovFilter(n=n), model, ys, keep=mo.keep.modes(lag=lag))
+        for t in range(5):
+            wanted = enumerated(ys[: min(t + lag, 4) + 1], of=t, starts=starts)[2]
+            assert np.allclose(history.mode_probabilities_after(lag)[t], wanted, rtol=0, atol=1e-8)
+        assert np.array_equal(history.mode_probabilities_after(0), history.mode_probabilities)
+        assert np.isnan(history.kept["delayed_mode_probabilities"][0, 1:]).all()
+
+
+def test_the_most_probable_path_of_modes_equals_enumeration(double):
+    """Of a hidden Markov model with a row missing and a transition that cannot be, against all paths of seven steps."""
+    ys = np.array([0.2, 1.4, np.nan, 3.0, 0.9, -0.3, 0.1])[:, None]
+    model = mo.JumpMarkovModel(START, CHAIN, levels())
+    history = mo.run(0, mo.InteractingMultipleModel(), model, ys, keep=mo.keep.laws)
+    with np.errstate(divide="ignore"):
+        chain, start = np.log(CHAIN), np.log(START)
+    fits = np.array([[0.0 if np.isnan(y) else norm.logpdf(y, v, np.sqrt(0.5 + v)) for v in (0.0, 1.0, 2.5)] for (y,) in ys])
+    paths = np.array(list(product(range(3), repeat=len(ys))))
+    log_p = start[paths[:, 0]] + chain[paths[:, :-1], paths[:, 1:]].sum(axis=1) + fits[np.arange(len(ys)), paths].sum(axis=1)
+    found = mo.smooth(1, mo.smoothers.Viterbi(), model, history)
+    assert np.array_equal(found.modes[:, 0], paths[log_p.argmax()])
+    assert found.paths.shape == (7, 1, 1)
+
+
+def test_the_path_of_modes_asks_for_known_states_and_one_component_for_each(double):
+    ys = measured(3)
+    mixed = mo.run(0, mo.InteractingMultipleModel(), chained(), ys, keep=mo.keep.laws)
+    with pytest.raises(mo.MotesError, match="a hidden Markov model, whose states are known.*Use MixtureSmoother."):
+        mo.smooth(1, mo.smoothers.Viterbi(), chained(), mixed)
+    many = mo.run(0, mo.JumpMarkovFilter(n=2), mo.JumpMarkovModel(START, CHAIN, levels()), ys[:, :1], keep=mo.keep.laws)
+    with pytest.raises(mo.MotesError, match="one component for each of 3 modes, got 6. Run InteractingMultipleModel."):
+        mo.smooth(1, mo.smoothers.Viterbi(), mo.JumpMarkovModel(START, CHAIN, levels()), many)

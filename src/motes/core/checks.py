@@ -217,6 +217,12 @@ def positive_integer(argument: str, value: Any) -> None:
         refuse(argument, "a whole number of at least 1", repr(value))
 
 
+def natural(argument: str, value: Any) -> None:
+    """Refuse what is not a whole number of at least zero."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 0:
+        refuse(argument, "a whole number of at least 0", repr(value))
+
+
 def above_zero(argument: str, value: Any, top: float = float("inf")) -> None:
     """Refuse what is not a number above zero and at most `top`, as far as it is known."""
     if is_concrete(value) and not (np.ndim(value) == 0 and np.asarray(value).dtype.kind in "biuf" and 0 < value <= top):

@@ -17,7 +17,7 @@ from motes.io import archive
 from motes.laws.observed import Observed
 from motes.laws.spelled import UnspelledError, restored, spelled
 
-_KEPT_BY = {"law": "laws", "mode_probabilities": "modes"}
+_KEPT_BY = {"law": "laws", "mode_probabilities": "modes", "delayed_mode_probabilities": "modes(lag=...)"}
 _TRAITS = ("has_evidence", "weighs", "subtracts", "particles", "engine", "descends")
 """What a file says of the filter beside its name; files of version 0.1 have not all of it."""
 
@@ -127,6 +127,22 @@ class History:
         """Filtered probabilities of the modes, `(t, m)` (with `keep.modes`)."""
         return self._kept("mode_probabilities")
 
+    def mode_probabilities_after(self, lag: int) -> jax.Array:
+        """Probabilities `(t, m)` of the mode of each step given the measurements of `lag` more steps (with `keep.modes(lag=...)`).
+
+        The last steps have fewer after them.
+
+        Raises:
+            MotesError: fewer were kept.
+        """
+        kept = self._kept("delayed_mode_probabilities")
+        checks.natural("mode_probabilities_after lag", lag)
+        if lag >= kept.shape[1]:
+            checks.refuse("mode_probabilities_after lag", f"at most {kept.shape[1] - 1}, as was kept", lag)
+        steps = np.arange(kept.shape[0])
+        seen = np.minimum(steps + lag, steps[-1])
+        return kept[seen, seen - steps]
+
     @property
     def law(self) -> Any:
         """Filtered laws with the time axis first (with `keep.laws`)."""
@@ -200,6 +216,8 @@ class History:
             data["cov"] = (("time", "state", "state2"), np.asarray(self.cov))
         if "mode_probabilities" in self.kept:
             data["mode_probabilities"] = (("time", "mode"), np.asarray(self.mode_probabilities))
+        if "delayed_mode_probabilities" in self.kept:
+            data["delayed_mode_probabilities"] = (("time", "delay", "mode"), np.asarray(self.kept["delayed_mode_probabilities"]))
         for name in ("log_evidence", "ess", "collapsed", "invalid", "nis", "freedom", "alarm", "gated", "lost", "recovered"):
             data[name] = (("time",), np.asarray(getattr(self.info, name)))
         names = list(self.names)
@@ -298,7 +316,7 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
         checks.refuse(f"{path}: info", "known records of steps", sorted(set(forms["info"]) - there)[0], "Read it with a newer motes.",
                       checks.FileError)
     kept = forms.get("kept", {})
-    known = {"mean": (steps, x), "cov": (steps, x, x), "mode_probabilities": (steps, None)}
+    known = {"mean": (steps, x), "cov": (steps, x, x), "mode_probabilities": (steps, None), "delayed_mode_probabilities": (steps, None, None)}
     archive.agree(path, forms, {f"kept/{name}": (shape, "f") for name, shape in known.items() if isinstance(kept, dict) and name in kept})
     law, state = kept.get("law") if isinstance(kept, dict) else None, last.get("state") if isinstance(last, dict) else None
     # `keep.paths` keeps laws of another kind, which have no name in common

@@ -106,6 +106,14 @@ class Filter(ABC):
         """Tell whether a step with a model is of few numbers."""
         return self.light and model.size <= FEW
 
+    def remembering(self, lag: int) -> "Filter":
+        """Return a filter whose law remembers so many modes of the steps before.
+
+        Raises:
+            MotesError: no law of this filter does.
+        """
+        checks.refuse("keep.modes lag", "a filter that remembers modes: JumpMarkovFilter", type(self).__name__)
+
     def check_parameters(self) -> None:  # noqa: B027 (most filters have nothing of their own to check)
         """Refuse values of the filter's own parameters."""
 

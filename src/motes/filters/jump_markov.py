@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, logspace, random
-from motes.core.record import record, static
+from motes.core.record import record, replace, static
 from motes.filters.clouds import correct_modes
 from motes.filters.gated import Gated
 from motes.filters.info import Info
-from motes.filters.interface import Guide, TwoStageFilter
+from motes.filters.interface import FEW, Guide, TwoStageFilter
 from motes.filters.needs import as_jump_markov
 from motes.gaussian.modes import initial_gaussians, predicted
 from motes.gaussian.rule import Rule, check_rule
@@ -33,6 +33,9 @@ from motes.models.jump_markov import JumpMarkovModel
 from motes.resampling import gradients
 from motes.resampling.reduction import Reduction, reduced
 from motes.resampling.schemes import Systematic
+
+FEW_PARTICLES = 128
+"""So many and fewer are not worth sharing out among threads."""
 
 
 @record
@@ -54,6 +57,8 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
             filter. Given them, linear models are exact.
         rule: how moments are taken through the functions of each mode: `mo.gaussian.Taylor(iterations)`, or sigma points such as
             `mo.gaussian.Cubature()`.
+        lag: number of earlier modes that each particle remembers, for `state.delayed_mode_probabilities()`; `run` sees to it where
+            `keep=mo.keep.modes(lag=4)` asks for them.
     """
 
     subtracts = True
@@ -66,16 +71,27 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     n: int = static()
     sampled: tuple[str | int, ...] = static(default=())
     rule: Rule = Taylor()
+    lag: int = static(default=0)
 
     def check_parameters(self) -> None:
         """Check the parameters.
 
         Raises:
-            MotesError: n is not a positive whole number, or the rule is none or has a parameter that it cannot have.
+            MotesError: n is not a positive whole number, lag is negative or none, or the rule is none or has a parameter that it cannot
+                have.
         """
         checks.positive_integer("JumpMarkovFilter n", self.n)
+        checks.natural("JumpMarkovFilter lag", self.lag)
         check_rule("JumpMarkovFilter", self.rule)
         object.__setattr__(self, "sampled", (self.sampled,) if isinstance(self.sampled, (str, int)) else tuple(self.sampled))
+
+    def remembering(self, lag: int) -> "JumpMarkovFilter":
+        """Return the filter with particles that remember at least so many modes."""
+        return replace(self, lag=max(lag, self.lag))
+
+    def is_light(self, model: Any) -> bool:
+        """See `Filter`."""
+        return self.n <= FEW_PARTICLES and model.size <= FEW
 
     def prepare(self, model: Any, u: Any) -> JumpMarkovModel:
         """Ask for means and covariances of dynamics and sensor of every mode.
@@ -91,20 +107,24 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     def _drawn_states(self, model: JumpMarkovModel) -> tuple[int, ...]:
         return tuple(sorted({model.index(state) for state in self.sampled}))
 
-    def _hypotheses(self, key: jax.Array, model: JumpMarkovModel, parts: Gaussian, log_weights: jax.Array) -> ModeMixture:
-        """Draw the states to be drawn (end of step 2); parts `(x, m n)` and weights `(m, n)` come mode after mode."""
+    def _hypotheses(
+        self, key: jax.Array, model: JumpMarkovModel, parts: Gaussian, log_weights: jax.Array, earlier: jax.Array
+    ) -> ModeMixture:
+        """Draw the states to be drawn (end of step 2); parts `(x, m n)` and weights `(m, n)` come mode after mode, earlier modes once."""
         states = self._drawn_states(model)
         if states:
             parts = parts.pinned(states, random.normal(key, (len(states), parts.center.shape[-1]), parts.center.dtype))
         modes = jnp.repeat(jnp.arange(model.count, dtype=jnp.int32), self.n)
-        return ModeMixture(parts, log_weights.reshape(-1), modes, model.count)
+        remembered = jnp.tile(earlier[: self.lag], model.count) if self.lag else None
+        return ModeMixture(parts, log_weights.reshape(-1), modes, model.count, remembered)
 
     def init(self, key: jax.Array, model: JumpMarkovModel) -> ModeMixture:
         """Give each mode the Gaussian with the moments of its initial law: once, or n times where states are drawn."""
         parts = jax.tree.map(lambda leaf: jnp.repeat(leaf, self.n, axis=-1), initial_gaussians(model))
         equal = logspace.uniform_weights(self.n, model.dtype)
         among = equal if self.sampled else jnp.where(jnp.arange(self.n) == 0, jnp.zeros_like(equal), -jnp.inf)
-        return self._hypotheses(key, model, parts, log_probabilities(model.initial_mode)[:, None] + among)
+        never = jnp.full((self.lag, self.n), -1, jnp.int32)
+        return self._hypotheses(key, model, parts, log_probabilities(model.initial_mode)[:, None] + among, never)
 
     def _reduced(self, key: jax.Array, log_weights: jax.Array) -> Reduction:
         """Choose n of the hypotheses (step 1)."""
@@ -124,7 +144,8 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         kept, log_weights = gradients.noticed((state.resampled(ancestors), log_weights))
         log_transition = model.log_transition(u, t)[kept.part_modes].T
         moved = predicted(self.rule, model, jax.tree.map(lambda leaf: leaf[..., None, :], kept.parts), u, t)
-        return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + log_transition)
+        earlier = jnp.concatenate([kept.part_modes[None], *([kept.earlier_modes] if self.lag else [])])
+        return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + log_transition, earlier)
 
     def correct(
         self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any

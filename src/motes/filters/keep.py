@@ -40,21 +40,34 @@ def paths(law: Any) -> dict[str, Any]:
     return {**moments(law), "law": Cloud(points, log_weights, law.ancestors)}
 
 
-def modes(law: Any, count: int = 0) -> dict[str, jax.Array]:
+def modes(law: Any = None, count: int = 0, lag: int = 0) -> Any:
     """Keep mean, covariance and the probabilities of the modes `(m,)`; for jump-Markov systems.
 
+    With `keep=mo.keep.modes(lag=4)` also those of each of the last modes given all measurements till now, `(lag + 1, m)`, the newest first:
+    `history.mode_probabilities_after(4)` makes a series of them. `run` has a `JumpMarkovFilter` remember as many.
+
     Args:
-        law: of a filter for jump-Markov systems, or a cloud of a joined model.
+        law: of a filter for jump-Markov systems, or a cloud of a joined model; left out to choose what to keep.
         count: number of modes of the joined model; `run` knows it.
+        lag: number of earlier modes.
 
     Raises:
-        MotesError: the law knows no modes.
+        MotesError: the law knows no modes, or does not remember as many.
     """
+    if law is None:
+        checks.natural("keep.modes lag", lag)
+        return partial(modes, lag=lag)
     found = law.mode_probabilities(count)
-    if found is not None:
-        return {**moments(law), "mode_probabilities": found}
-    given = f"one whose law is a {type(law).__name__}" + ("" if count else ", of a model without modes")
-    checks.refuse("keep.modes", "a filter of jump-Markov systems, or a cloud of a joined model", given)
+    if found is None:
+        given = f"one whose law is a {type(law).__name__}" + ("" if count else ", of a model without modes")
+        checks.refuse("keep.modes", "a filter of jump-Markov systems, or a cloud of a joined model", given)
+    kept = {**moments(law), "mode_probabilities": found}
+    if lag:
+        delayed = law.delayed_mode_probabilities()
+        if delayed is None or delayed.shape[0] <= lag:
+            checks.refuse("keep.modes lag", "a filter that remembers modes, such as JumpMarkovFilter(n=30, lag=4)", lag)
+        kept["delayed_mode_probabilities"] = delayed[: lag + 1]
+    return kept
 
 
 def clusters(law: Any, count: int = 4) -> dict[str, jax.Array]:
@@ -70,7 +83,20 @@ def clusters(law: Any, count: int = 4) -> dict[str, jax.Array]:
 
 def with_modes(keep: Keep, count: int) -> Keep:
     """Return what to keep in a run of a joined model of so many modes; 0 for any other model."""
-    return partial(modes, count=count) if keep is modes else keep
+    return partial(modes, count=count, lag=_lag_of(keep)) if _keeps_modes(keep) else keep
+
+
+def remembering(filter: Any, keep: Keep) -> Any:
+    """Return a filter that remembers as many modes as are kept of it."""
+    return filter.remembering(_lag_of(keep)) if _keeps_modes(keep) and _lag_of(keep) else filter
+
+
+def _keeps_modes(keep: Keep) -> bool:
+    return keep is modes or (isinstance(keep, partial) and keep.func is modes)
+
+
+def _lag_of(keep: Any) -> int:
+    return keep.keywords.get("lag", 0) if isinstance(keep, partial) else 0
 
 
 def nothing(law: Any) -> dict[str, jax.Array]:

@@ -30,8 +30,7 @@ class Past:
 
     def __post_init__(self) -> None:
         """Refuse a lag that is no whole number of at least 0."""
-        if isinstance(self.lag, bool) or not isinstance(self.lag, (int, np.integer)) or self.lag < 0:
-            checks.refuse("stream lag", "a whole number of steps, 0 or more", repr(self.lag))
+        checks.natural("stream lag", self.lag)
 
     def opened(self, before: Packed | None, u: Any, y: Any) -> None:
         """Note that a step has begun."""

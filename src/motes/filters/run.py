@@ -67,6 +67,7 @@ def run(
     key = random.key_or_data(key)
     if not isinstance(filter, Filter):
         checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
+    filter = keeping.remembering(filter, keep)
     ys, inputs = checked_data(model, ys, inputs)
     if isinstance(key, jax.Array) and key.ndim and after is None:
         checks.shape("run key", key, (steps_of(ys),), "(one for each step)")

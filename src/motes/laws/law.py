@@ -53,6 +53,10 @@ class Law(ABC):
         """
         return None
 
+    def delayed_mode_probabilities(self) -> jax.Array | None:
+        """Probabilities `(lag + 1, m)` of the last modes, the newest first; None of a law that remembers none."""
+        return None
+
     def modes(self, count: int = 8) -> Clusters:
         """Return the heaviest clusters of the law; one of a law that has one mode.
 

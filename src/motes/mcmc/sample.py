@@ -62,8 +62,7 @@ def sample(
         checks.refuse("sample log_density", "a function of a position", type(log_density).__name__)
     for name, value in (("draws", draws), ("chains", chains)):
         checks.positive_integer(f"sample {name}", value)
-    if isinstance(burn_in, bool) or not isinstance(burn_in, (int, np.integer)) or burn_in < 0:
-        checks.refuse("sample burn_in", "a whole number of at least 0", repr(burn_in))
+    checks.natural("sample burn_in", burn_in)
     key = random.as_key(key)
     if isinstance(init, Chains):
         target, states, begun = _continued(kernel, log_density, init)

@@ -10,3 +10,4 @@ from .paris import PaRIS as PaRIS
 from .rao_blackwellized import RaoBlackwellizedSmoother as RaoBlackwellizedSmoother
 from .rauch_tung_striebel import RauchTungStriebelSmoother as RauchTungStriebelSmoother
 from .two_filter import TwoFilterSmoother as TwoFilterSmoother
+from .viterbi import Viterbi as Viterbi
