@@ -263,7 +263,7 @@ def test_the_most_probable_path_of_modes_equals_enumeration(double):
 def test_the_path_of_modes_asks_for_known_states_and_one_component_for_each(double):
     ys = measured(3)
     mixed = mo.run(0, mo.InteractingMultipleModel(), chained(), ys, keep=mo.keep.laws)
-    with pytest.raises(mo.MotesError, match="a hidden Markov model, whose states are known.*Use MixtureSmoother."):
+    with pytest.raises(mo.MotesError, match="states that are known, as in a hidden Markov model.*Use MixtureSmoother."):
         mo.smooth(1, mo.smoothers.Viterbi(), chained(), mixed)
     many = mo.run(0, mo.JumpMarkovFilter(n=2), mo.JumpMarkovModel(START, CHAIN, levels()), ys[:, :1], keep=mo.keep.laws)
     with pytest.raises(mo.MotesError, match="one component for each of 3 modes, got 6. Run InteractingMultipleModel."):

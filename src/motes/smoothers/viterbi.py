@@ -38,7 +38,7 @@ class Viterbi(Smoother):
         (2, 1)
     """
 
-    lost = ("a hidden Markov model, whose states are known", "Use MixtureSmoother.")
+    lost = ("states that are known, as in a hidden Markov model", "Use MixtureSmoother.")
 
     def prepare(self, model: Any, history: History, u: Any) -> JumpMarkovModel:
         """Ask for one component for each mode.
