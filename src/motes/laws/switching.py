@@ -5,11 +5,16 @@ from typing import Any, NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, random
 from motes.core.record import record, static
 from motes.laws.conditional import Conditional
 from motes.laws.law import Law
+
+
+FEW_MODES = 4
+"""So many modes of one model and fewer are gone through one by one: XLA makes faster code of that, more of them would compile longer."""
 
 
 class WithMode(NamedTuple):
@@ -54,10 +59,15 @@ def mode_weights(modes: jax.Array, weights: jax.Array, count: int) -> jax.Array:
     return jnp.sum(jnp.where(modes == numbers[:, None], weights, 0), axis=1)
 
 
+def one_by_one(parts: tuple[Any, ...], count: int, u: Any) -> list[tuple[Any, Any]]:
+    """Return the part of each mode with the inputs that it takes."""
+    return [(part, u) for part in parts] if len(parts) == count else [(parts[0], WithMode(u, np.int32(mode))) for mode in range(count)]
+
+
 def of_each(parts: tuple[Any, ...], count: int, modes: jax.Array, u: Any, ask: Callable[[Any, Any], Any]) -> Any:
     """Pick, for each particle `(n,)`, what the part of its mode answers; see `in_each_mode`. What is asked has the particle axis last."""
-    if len(parts) == count:
-        return jax.tree.map(lambda *each: of_mode(modes, list(each)), *[ask(part, u) for part in parts])
+    if len(parts) == count or count <= FEW_MODES:
+        return jax.tree.map(lambda *each: of_mode(modes, list(each)), *[ask(*each) for each in one_by_one(parts, count, u)])
     numbers = jnp.arange(count, dtype=jnp.int32)
     found = jax.vmap(lambda mode: ask(parts[0], WithMode(u, mode)))(numbers)
     # what does not depend on the particle has no axis of particles
@@ -83,9 +93,9 @@ def in_each_mode(parts: tuple[Any, ...], count: int, u: Any, ask: Callable[..., 
     Returns:
         What the function returns, `(..., m, k)`.
     """
-    if len(parts) == count:
+    if len(parts) == count or count <= FEW_MODES:
         mine = [jax.tree.map(lambda leaf, mode=mode: leaf[..., min(mode, leaf.shape[-2] - 1), :], given) for mode in range(count)]
-        found = [ask(part, u, each) for part, each in zip(parts, mine, strict=True)]
+        found = [ask(part, seen, each) for (part, seen), each in zip(one_by_one(parts, count, u), mine, strict=True)]
         return jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=-2), *found)
     alike = jax.tree.map(lambda leaf: leaf.shape[-2] == 1, given)
     given = jax.tree.map(lambda leaf: leaf[..., 0, :] if leaf.shape[-2] == 1 else leaf, given)
@@ -166,7 +176,7 @@ class SwitchingDynamics(Conditional):
 
     def of_modes(self, u: Any) -> list[tuple[Conditional, Any]]:
         """Return the dynamics of each mode with the inputs that they take."""
-        return [(self.parts[0], WithMode(u, m)) for m in range(self.count)] if len(self.parts) < self.count else [(p, u) for p in self.parts]
+        return one_by_one(self.parts, self.count, u)
 
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Refuse: a Gaussian says little of a mode."""
