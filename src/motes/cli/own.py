@@ -6,7 +6,7 @@ import inspect
 import sys
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -87,14 +87,17 @@ def load(application: str, folder: str, settings: Own) -> Any:
 
 def _read(data: Data) -> tuple[Data, dict[str, np.ndarray] | None]:
     """Return the arrays of the file that is named, if one is, and what is asked for of them."""
-    from motes.cli.own_bags import on_one_line
+    from motes.cli.own_bags import TIME, on_one_line
     from motes.io.arrays import read_arrays
     from motes.io.bags import is_bag
 
     if not data.file:
         return data, None
     if is_bag(data.file):
-        return on_one_line(data)
+        if data.time:
+            refuse("data time", "none beside a bag, whose messages have times of their own", shown(data.time))
+        columns, arrays = on_one_line(data.file, data.topics, data.columns, data.inputs, data.truth)
+        return replace(data, columns=columns, time=TIME), arrays
     if data.topics:
         refuse("data topics", "a bag as the file (rosbag 1 or 2)", shown(data.file), "Columns are named with columns, inputs and truth.")
     return data, read_arrays(data.file)

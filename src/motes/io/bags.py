@@ -20,7 +20,7 @@ import numpy as np
 from motes.core.checks import FileError, need
 from motes.io.clips import USUAL_RATE, Clip
 from motes.io.files import foreign, label, look, reject
-from motes.io.instants import times
+from motes.io.instants import SAME, times
 from motes.io.messages import PICTURES, Place, angles, meant, picture, said
 
 STARTS = (b"#ROSBAG V", b"SQLite format 3\x00", b"\x89MCAP0\r\n")
@@ -50,26 +50,25 @@ class Topic(NamedTuple):
 
     def at(self, seconds: np.ndarray) -> np.ndarray:
         """Return the values at other times `(s,)`: on the line between two messages, NaN before the first and after the last one."""
+        outside = (seconds < self.seconds[0] - SAME) | (seconds > self.seconds[-1] + SAME)
         columns = self.values.reshape(len(self.values), -1).T.copy()
         columns[list(self.angles)] = np.unwrap(columns[list(self.angles)], axis=1)
-        found = [np.interp(seconds, self.seconds, column, np.nan, np.nan) for column in columns]
+        found = [np.where(outside, np.nan, np.interp(seconds, self.seconds, column)) for column in columns]
         return np.stack(found, axis=1).reshape(len(seconds), *self.values.shape[1:])
 
     def held(self, seconds: np.ndarray) -> np.ndarray:
         """Return the values of the last message until other times `(s,)`, none of which is before the first message."""
-        return self.values[np.searchsorted(self.seconds, seconds, "right") - 1]
+        return self.values[np.searchsorted(self.seconds, seconds + SAME, "right") - 1]
 
 
 class Recording(NamedTuple):
     """Topics of a bag.
 
     Attributes:
-        source: name of the bag.
         start: Unix seconds of the first message that was read.
         topics: by the names that they were asked for by.
     """
 
-    source: str
     start: float
     topics: dict[str, Topic]
 
@@ -203,9 +202,9 @@ def read_bag(
                         angular[name] = angles(place, message, fields)
         clocks = {topic: _clock(bag, topic, np.array(found)) for topic, found in stamps.items()}
         start = min(int(clock[0]) for clock in clocks.values())
-        found = {name: Topic(topic, bag.kind(topic), (clocks[topic] - start) / NANO, _stacked(bag, topic, rows[name]), angular[name])
+        found = {name: Topic(topic, bag.kind(topic), (clocks[topic] - start) / NANO, _in_one(bag, topic, rows[name]), angular[name])
                  for name, (topic, _) in asked.items()}  # fmt: skip
-        return Recording(label(path), start / NANO, found)
+        return Recording(start / NANO, found)
 
 
 def _asked(bag: Bag, name: str, text: str, kinds: Sequence[str] | None) -> tuple[str, list[str]]:
@@ -234,7 +233,7 @@ def _clock(bag: Bag, topic: str, stamps: np.ndarray) -> np.ndarray:
     return chosen
 
 
-def _stacked(bag: Bag, topic: str, rows: list[Any]) -> np.ndarray:
+def _in_one(bag: Bag, topic: str, rows: list[Any]) -> np.ndarray:
     forms = [np.shape(row) for row in rows]
     other = next((number for number, form in enumerate(forms) if form != forms[0]), 0)
     if other:

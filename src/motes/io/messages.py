@@ -5,7 +5,7 @@ import difflib
 import io
 import keyword
 from collections.abc import Sequence
-from functools import cache
+from functools import lru_cache
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -75,15 +75,15 @@ def said(place: Place, message: Any, fields: Sequence[str]) -> Any:
     """
     if not fields and place.kind in PICTURES:
         return picture(place, message)
-    found = [_numbers(place, message, path) for path in fields or _usual(place, message)]
+    found = [_at_path(place, message, path) for path in fields or _usual(place, message)]
     values = found[0] if len(found) == 1 else np.concatenate([np.atleast_1d(one) for one in found])
-    return values if fields else _known(place.kind, message, values)
+    return values if fields else _within_limits(place.kind, message, values)
 
 
 def angles(place: Place, message: Any, fields: Sequence[str]) -> tuple[int, ...]:
     """Return which of the numbers that `said` gives are angles."""
     paths = fields or (() if place.kind in PICTURES else _usual(place, message))
-    ends = np.cumsum([np.size(_numbers(place, message, path)) for path in paths])
+    ends = np.cumsum([np.size(_at_path(place, message, path)) for path in paths])
     return tuple(int(end) - 1 for path, end in zip(paths, ends, strict=True) if path.endswith(f".{YAW}"))
 
 
@@ -130,7 +130,7 @@ def _usual(place: Place, message: Any) -> Sequence[str]:
     return USUAL[place.kind]
 
 
-def _known(kind: str, message: Any, values: Any) -> Any:
+def _within_limits(kind: str, message: Any, values: Any) -> Any:
     """Return values, NaN in place of those that a message says are none."""
     if kind in LIMITS:
         low, high = (getattr(message, name) for name in LIMITS[kind])
@@ -142,7 +142,7 @@ def _known(kind: str, message: Any, values: Any) -> Any:
     return values
 
 
-def _numbers(place: Place, message: Any, path: str) -> Any:
+def _at_path(place: Place, message: Any, path: str) -> Any:
     """Return the number or the numbers of a field."""
     value = message
     for part in path.split("."):
@@ -175,7 +175,7 @@ def _fields(value: Any) -> list[str]:
     return _fields_of(type(value))
 
 
-@cache
+@lru_cache(256)
 def _fields_of(kind: type) -> list[str]:
     if not dataclasses.is_dataclass(kind):
         return []
