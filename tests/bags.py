@@ -1,6 +1,7 @@
 """Small bags, written by the writers of `rosbags`; whoever imports this is skipped where that is missing."""
 
 import re
+import sqlite3
 from keyword import iskeyword
 
 import numpy as np
@@ -90,13 +91,17 @@ def own_store(version, kind, text):
     return store
 
 
+def changed(path, *orders):
+    """Change the database of a bag of SQLite."""
+    with sqlite3.connect(next(path.glob("*.db3"))) as base:
+        for order in orders:
+            base.execute(order)
+    return path
+
+
 def without_definitions(path):
     """Take the definitions out of a bag of SQLite, as releases before Iron wrote none."""
-    import sqlite3
-
-    with sqlite3.connect(next(path.glob("*.db3"))) as base:
-        base.execute("DROP TABLE message_definitions")
-        base.execute("UPDATE schema SET schema_version = 3")
+    changed(path, "DROP TABLE message_definitions", "UPDATE schema SET schema_version = 3")
     metadata = path / "metadata.yaml"
     metadata.write_text(re.sub("version: 9", "version: 5", metadata.read_text(), count=1))
     return path

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import motes as mo
-from bags import VERSIONS, Stores, Writer1, filled, get_typestore, odometry, own_store, pose, without_definitions, write_bag
+from bags import VERSIONS, Stores, Writer1, changed, filled, get_typestore, odometry, own_store, pose, without_definitions, write_bag
 from data import refused
 from motes.io.bags import is_bag, read_bag, read_topic_clip
 
@@ -132,6 +132,23 @@ def test_bags_without_definitions_have_the_types_of_their_time(tmp_path):
     refused(error, "definition of my_msgs/Depth", "/depth", "Iron")
 
 
+def test_definitions_may_be_idl(tmp_path):
+    store = own_store("db3", "my_msgs/Depth", "my_msgs/Pair pair\nfloat32 depth\n" + "=" * 80 + "\nMSG: my_msgs/Pair\nint32 a\nint32 b\n")
+    rows = [(time, {"pair.b": 3, "depth": time}) for time in TIMES]
+    path = write_bag(tmp_path / "a", "db3", {"/depth": ("my_msgs/Depth", rows)}, store)
+    told = {"Depth": "my_msgs::msg::Pair pair; float depth;", "Pair": "long a; long b;"}
+    parts = [f"{'=' * 80}\nIDL: my_msgs/msg/{name}\nmodule my_msgs {{ module msg {{ struct {name} {{ {text} }}; }}; }};\n"
+             for name, text in told.items()]  # fmt: skip
+    for text in ("".join(parts), parts[0]):
+        changed(path, f"UPDATE message_definitions SET encoding = 'ros2idl', encoded_message_definition = '{text}'")
+        if text != parts[0]:
+            assert np.array_equal(read_bag(path, {"b": "/depth pair.b depth"}).topics["b"].values, [[3, time] for time in TIMES])
+            continue
+        with pytest.raises(mo.FileError) as error:
+            read_bag(path, {"b": "/depth pair.b"})
+        refused(error, "an undamaged bag", "my_msgs/msg/Pair")
+
+
 def test_a_definition_is_no_program(tmp_path):
     """What a bag says of its types is read by a grammar; a name that is more than a name is refused."""
     path, store = tmp_path / "a.bag", get_typestore(Stores.ROS1_NOETIC)
@@ -200,10 +217,12 @@ def test_bags_that_are_cut_short_are_refused(tmp_path, version, share):
 def test_no_bag_is_refused_and_one_file_of_a_folder_is_enough(tmp_path, drive):
     (tmp_path / "text.txt").write_text("a,b\n1,2\n")
     (tmp_path / "folder").mkdir()
-    assert not is_bag(tmp_path / "text.txt")
-    for path, words in ((tmp_path / "none.bag", ("No such file",)), (tmp_path / "folder", ("metadata.yaml", "0 such files"))):
+    (tmp_path / "empty.bag").touch()
+    assert not any(is_bag(tmp_path / name) for name in ("text.txt", "empty.bag", "none.bag")) and is_bag(tmp_path / "folder")
+    for path, words in ((tmp_path / "none.bag", ("No such file",)), (tmp_path / "empty.bag", ("an empty file",)),
+                        (tmp_path / "text.txt", ("'.txt'",)), (tmp_path / "folder", ("metadata.yaml", "0 such files"))):  # fmt: skip
         with pytest.raises(mo.FileError) as error:
-            is_bag(path) and read_bag(path, {"odometry": "/odom"})
+            read_bag(path, {"odometry": "/odom"})
         refused(error, *words)
     shutil.copy(next(drive.glob("*.db3")), tmp_path / "folder")
     assert read_bag(tmp_path / "folder", {"odometry": "/odom"}).topics["odometry"].values.shape == (3, 3)

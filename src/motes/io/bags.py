@@ -135,12 +135,11 @@ class Bag(NamedTuple):
 
 
 def is_bag(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is a folder, or a file that begins as those of rosbag do.
-
-    Raises:
-        FileError: there is nothing there, or it cannot be read.
-    """
-    return Path(path).is_dir() or look(path, 16)[1].startswith(STARTS)
+    """Whether a path is a folder, or a file that begins as those of rosbag do; what cannot be read is none, and its reader says why."""
+    try:
+        return Path(path).is_dir() or look(path, 16)[1].startswith(STARTS)
+    except FileError:
+        return False
 
 
 @contextmanager
