@@ -53,7 +53,7 @@ class Job:
         ys: measurements, time axis first; None of a job that is only planned or studied. Those that do not fit into memory: a function of a
             step, by default 0, that gives an iterator of the measurements from there on, and prints as what they are.
         inputs: of the model, time axis first; or None.
-        truth: true states `(t, x)`; None where they are not known.
+        truth: true states `(t, x)`, NaN where they are not known; None where none are.
         times: of the steps, seconds, `(t,)`; None where steps are only numbered.
         filters: those that run where the user names none, by name; the pictures show the first.
         keep: what is kept of each step, with mean and covariance at least.
@@ -94,7 +94,7 @@ class Job:
         if self.truth is None:
             return ()
         errors = np.asarray(wrap((history.mean - jnp.asarray(self.truth)).T, self.model.circular))
-        return tuple(Score(f"rms {name}", float(np.sqrt(np.mean(errors[place] ** 2))), digits=4)
+        return tuple(Score(f"rms {name}", float(np.sqrt(np.nanmean(errors[place] ** 2))), digits=4)
                      for place, name in enumerate(history.names))  # fmt: skip
 
     def verdict(self, history: History) -> str:

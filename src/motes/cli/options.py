@@ -18,7 +18,8 @@ LARGEST = 1 << 20
 DOTS = 3000
 LARGEST_WHOLE = 10**300
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-KINDS = {int: "a whole number", float: "a number", str: "text in quotes", bool: "true or false", tuple: "a list of texts"}
+KINDS = {int: "a whole number", float: "a number", str: "text in quotes", bool: "true or false", tuple: "a list of texts",
+         dict: "a table of texts"}  # fmt: skip
 
 
 def refuse(argument: str, expected: str, given: object, hint: str = "") -> NoReturn:
@@ -155,6 +156,10 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         if value not in known or type(value) is bool:
             refuse(where, "one of " + ", ".join(map(repr, known)), shown(value))
         return value
+    if typing.get_origin(hint) is dict:
+        if isinstance(value, dict) and all(isinstance(item, str) for item in value.values()):
+            return value
+        refuse(where, KINDS[dict], shown(value))
     if typing.get_origin(hint) is tuple:
         value = [value] if isinstance(value, str) else value
         if isinstance(value, list) and all(isinstance(item, str) for item in value):

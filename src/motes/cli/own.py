@@ -6,7 +6,7 @@ import inspect
 import sys
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +17,20 @@ from motes.cli.options import refuse, shown
 
 @dataclass(frozen=True)
 class Data:
-    """The measurements: CSV, JSON, Parquet, NetCDF, MAT or NPZ, one row or entry per step.
+    """The measurements: CSV, JSON, Parquet, NetCDF, MAT or NPZ, one row or entry per step; or a bag (rosbag 1 or 2).
 
     Attributes:
-        file: the file.
+        file: the file, or the folder of a bag.
+        topics: what to read of a bag, by names of your own: a topic, and after it paths of fields where those that are usual of its type
+            are not wanted, as in speed = "/odom twist.twist.linear.x". Its messages have times of their own.
         columns: names of what was measured, in the order of the sensor's components; all but those below if none is named.
         time: name of the time stamps: the model then gets the seconds since the step before as u["dt"].
-        inputs: names of the inputs, which the model gets by name, as u["speed"].
+        inputs: names of the inputs, which the model gets by name, as u["speed"]; of a bag the last message counts.
         truth: names of the true states, in the order of the states, for scoring.
     """
 
     file: str = field(default="", metadata={"path": True})
+    topics: dict[str, str] = field(default_factory=dict)
     columns: tuple[str, ...] = ()
     time: str = ""
     inputs: tuple[str, ...] = ()
@@ -60,12 +63,11 @@ def load(application: str, folder: str, settings: Own) -> Any:
         MotesError: there is no such module or function, it fails, or does not give a model; or the data cannot be used.
     """
     from motes.applications.interface import Job
-    from motes.io.arrays import read_arrays
     from motes.models.interface import Model
     from motes.models.times import Timeline
 
     function = _function(application, folder)
-    data = read_arrays(settings.data.file) if settings.data.file else None
+    asked, data = _read(settings.data)
     found = _called(application, function, data)
     if isinstance(found, Job):
         return found
@@ -76,11 +78,29 @@ def load(application: str, folder: str, settings: Own) -> Any:
     if unknown:
         refuse(f"application {application}", "a dictionary of model, ys, inputs, truth", shown(sorted(unknown)[0]))
     if data is not None and "ys" not in given:
-        given = measured(settings.data, data, given["model"]) | given
+        given = measured(asked, data, given["model"]) | given
     line = given.get("ys")
     if isinstance(line, Timeline):
         given |= {"ys": line.ys, "inputs": line.inputs, "times": line.start + line.seconds}
     return Job(**given)
+
+
+def _read(data: Data) -> tuple[Data, dict[str, np.ndarray] | None]:
+    """Return the arrays of the file that is named, if one is, and what is asked for of them."""
+    from motes.cli.own_bags import TIME, on_one_line
+    from motes.io.arrays import read_arrays
+    from motes.io.bags import is_bag
+
+    if not data.file:
+        return data, None
+    if is_bag(data.file):
+        if data.time:
+            refuse("data time", "none beside a bag, whose messages have times of their own", shown(data.time))
+        columns, arrays = on_one_line(data.file, data.topics, data.columns, data.inputs, data.truth)
+        return replace(data, columns=columns, time=TIME), arrays
+    if data.topics:
+        refuse("data topics", "a bag as the file (rosbag 1 or 2)", shown(data.file), "Columns are named with columns, inputs and truth.")
+    return data, read_arrays(data.file)
 
 
 def _called(application: str, function: Callable[..., Any], data: dict[str, np.ndarray] | None) -> Any:
@@ -162,7 +182,7 @@ def measured(data: Data, arrays: dict[str, np.ndarray], model: Any) -> dict[str,
     by_name = sensors.issuperset(names) or (len(parts) > 1 and any(part.ndim > 1 for part in parts))
     ys: Any = dict(zip(names, parts, strict=True)) if by_name else parts[0] if parts[0].ndim > 1 else np.stack(parts, axis=1)
     inputs = {name: column(name) for name in data.inputs} or None
-    truth = np.stack([column(name) for name in data.truth], axis=1) if data.truth else None
+    truth = np.column_stack([column(name) for name in data.truth]) if data.truth else None
     if truth is not None and truth.shape[1] != model.size:
         refuse("data truth", f"a column for each of the states {', '.join(model.names)}", ", ".join(data.truth))
     if data.time:

@@ -11,6 +11,8 @@ from motes.core.checks import refuse
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 TICKS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12, "fs": 10**15, "as": 10**18}
 """Parts of a second."""
+SAME = 1e-6
+"""Times that differ by less, in seconds, are one."""
 LONG = {"m": 60, "h": 3600, "D": 86_400, "W": 604_800}
 """Seconds of longer units."""
 

@@ -11,9 +11,6 @@ from motes.core.types import Inputs
 from motes.io import instants
 from motes.laws.observed import Observed
 
-SAME = 1e-6
-"""Stamps of two sensors that differ by less, in seconds, are one step."""
-
 
 @record
 class Timeline:
@@ -79,7 +76,7 @@ def _counted(name: str, ys: Any, seconds: np.ndarray) -> np.ndarray:
 def _numbered(seconds: np.ndarray) -> list[tuple[float, int]]:
     """Return each time, rounded, with how often it has come before: one sensor twice at a time makes two steps."""
     found: list[tuple[float, int]] = []
-    for second in np.round(seconds / SAME) * SAME:
+    for second in np.round(seconds / instants.SAME) * instants.SAME:
         found.append((float(second), found[-1][1] + 1 if found and found[-1][0] == second else 0))
     return found
 

@@ -12,7 +12,7 @@ from motes.applications.interface import Job, Score, with_cloud
 from motes.applications.laser.grid import Grid, read_grid, write_grid
 from motes.applications.laser.model import anywhere, laser_model
 from motes.applications.laser.pictures import building_animation, building_figure
-from motes.applications.laser.scans import Scans, read_scans, write_scans
+from motes.applications.laser.scans import Scans, read_scan_topics, read_scans, write_scans
 from motes.applications.laser.settings import Settings
 from motes.applications.laser.world import driven
 from motes.applications.robot.kidnapping import found_after
@@ -20,6 +20,7 @@ from motes.core import checks
 from motes.filters.history import History
 from motes.filters.particle import ParticleFilter
 from motes.filters.recovering import Recovering
+from motes.io.bags import is_bag
 
 MAP, SCANS = "map.yaml", "scans.csv"
 
@@ -34,12 +35,13 @@ def load(settings: Settings, seed: int) -> "LaserJob":
     if bool(settings.map) != bool(settings.data):
         checks.refuse("map, data", "both or none", "data alone" if settings.data else "map alone", "Name the other file.")
     if settings.data:
-        grid, scans = read_grid(settings.map), read_scans(settings.data)
+        grid = read_grid(settings.map)
+        scans = read_scan_topics(settings.data, settings.topics) if is_bag(settings.data) else read_scans(settings.data)
     else:
         grid, scans = driven(seed, settings.seconds, settings.kidnap, settings.outliers)
     inputs = {"forward": jnp.asarray(scans.forward, float), "turn": jnp.asarray(scans.turn, float)}
     return LaserJob(
-        model=laser_model(grid, scans.ranges.shape[1]), ys=jnp.asarray(scans.ranges, float), inputs=inputs, truth=scans.poses,
+        model=laser_model(grid, scans.bearings), ys=jnp.asarray(scans.ranges, float), inputs=inputs, truth=scans.poses,
         times=scans.times, filters={"recovering": Recovering(ParticleFilter(n=40_000, on_collapse="predict"), anywhere(grid))},
         keep=with_cloud, counted=("px", "py"), grid=grid, scans=scans, kidnap=0.0 if settings.data else settings.kidnap,
     )  # fmt: skip

@@ -44,13 +44,18 @@ def slip(x: jax.Array, u: Any, t: Any) -> jax.Array:
     return jnp.diag(jnp.stack([place, place, 0.01**2 + 0.05**2 * jnp.abs(u["turn"])]))
 
 
-def laser_model(grid: Grid, beams: int) -> StateSpaceModel:
-    """Build the model of a robot that may start anywhere; measurements are ranges `(beams,)`, NaN where nothing came back."""
+def laser_model(grid: Grid, beams: np.ndarray) -> StateSpaceModel:
+    """Build the model of a robot that may start anywhere.
+
+    Args:
+        grid: the map.
+        beams: their bearings `(b,)`; measurements are ranges `(b,)`, NaN where nothing came back.
+    """
     # a rim without walls stands for all that is beyond the map, where neither a beam ends nor the robot is
     apart = np.asarray(distance_transform_edt(~grid.occupied)) * grid.resolution
     field = jnp.asarray(np.pad(apart, 1, constant_values=FAR), float)
     free = jnp.asarray(np.pad(grid.free, 1))
-    bearings = jnp.asarray(2 * np.pi * np.arange(beams) / beams, float)
+    bearings = jnp.asarray(beams, float)
     rows, columns = field.shape
 
     def cell(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:

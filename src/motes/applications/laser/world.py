@@ -3,7 +3,7 @@
 import numpy as np
 
 from motes.applications.laser.grid import Grid
-from motes.applications.laser.scans import Scans
+from motes.applications.laser.scans import Scans, all_around
 from motes.core import checks
 
 CELL, SIZE, BEAMS, REACH = 0.1, (30.0, 18.0), 24, 10.0
@@ -82,13 +82,14 @@ def driven(seed: int, seconds: float, kidnap: float, outliers: float) -> tuple[G
     ranges = np.maximum(cast(grid, poses) + RANGE_SD * rng.standard_normal((count, BEAMS)), 0)
     wrong, instead = rng.random(ranges.shape) < outliers, rng.uniform(0.2, REACH, ranges.shape)
     ranges = np.where(wrong, instead, ranges)
-    return grid, Scans(STEP * np.arange(count), read[0], read[1] + TURN_SD * (forward > 0) * rng.standard_normal(count), ranges, poses)
+    turned = read[1] + TURN_SD * (forward > 0) * rng.standard_normal(count)
+    return grid, Scans(STEP * np.arange(count), read[0], turned, ranges, all_around(BEAMS), poses)
 
 
 def cast(grid: Grid, poses: np.ndarray) -> np.ndarray:
     """Return the true ranges `(t, BEAMS)` from poses `(t, 3)`; NaN beyond the reach."""
     reach = np.arange(0, REACH, grid.resolution / 2)
-    course = poses[:, 2:] + 2 * np.pi * np.arange(BEAMS) / BEAMS
+    course = poses[:, 2:] + all_around(BEAMS)
     ends = (poses[:, None, None, :2] + reach[:, None] * np.stack([np.cos(course), np.sin(course)], axis=-1)[:, :, None]
             - np.array(grid.origin)) / grid.resolution  # fmt: skip
     column, row = (np.clip(ends[..., i].astype(int), 0, grid.occupied.shape[1 - i] - 1) for i in (0, 1))

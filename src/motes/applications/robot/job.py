@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from motes.applications.interface import Job, Score
 from motes.applications.robot import scenario
+from motes.applications.robot.bag import read_recording
 from motes.applications.robot.kidnapping import recovering
 from motes.applications.robot.pictures import robot_figure
 from motes.applications.robot.settings import Settings
@@ -16,7 +17,7 @@ from motes.applications.robot.world import simulated
 from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.marginalized import MarginalizedParticleFilter
-from motes.io.recordings import read_plaza, write_plaza
+from motes.io.recordings import write_plaza
 from motes.plotting.plot import plot
 
 FILE = "recording.mat"
@@ -33,7 +34,7 @@ def load(settings: Settings, seed: int) -> "RobotJob":
         FileError: the file cannot be used.
         MotesError: a setting cannot be used.
     """
-    recording = read_plaza(settings.data) if settings.data else simulated(seed, settings.seconds)
+    recording = read_recording(settings.data, settings.topics) if settings.data else simulated(seed, settings.seconds)
     made = scenario.of_recording(recording, settings.odometry, settings.outliers, settings.start, settings.kidnap)
     usual: Filter = MarginalizedParticleFilter(n=1_000, linear=("scale", "offset"))
     return RobotJob(

@@ -231,6 +231,14 @@ def dead_reckoning(start: np.ndarray, forward: np.ndarray, turns: np.ndarray) ->
     return start[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
+def moves(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return distance forward and turn, each `(s - 1,)`, between poses `(s, 3)` (x, y, heading): what `dead_reckoning` undoes."""
+    steps = np.diff(poses, axis=0)
+    turns = np.angle(np.exp(1j * steps[:, 2]))
+    course = poses[:-1, 2] + turns / 2
+    return steps[:, 0] * np.cos(course) + steps[:, 1] * np.sin(course), turns
+
+
 def errors(history: History, scenario: Scenario) -> jax.Array:
     """Distance of the estimated from the true position at the scored steps, `(s,)`, meters."""
     apart = history.mean[scenario.scored, :2] - scenario.truth[:, :2]

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.interface import Job, Score
+from motes.applications.robot.bag import read_recording
 from motes.applications.robot.world import simulated
 from motes.applications.slam import recording as recorded
 from motes.applications.slam.model import ranging, seeing
@@ -19,7 +20,8 @@ from motes.core import checks
 from motes.filters import keep
 from motes.filters.history import History
 from motes.filters.landmark import LandmarkFilter
-from motes.io.recordings import read_plaza, write_plaza
+from motes.io.bags import is_bag
+from motes.io.recordings import write_plaza
 from motes.laws.cloud import Cloud
 from motes.smoothers.genealogy import GenealogySmoother
 from motes.smoothers.smooth import smooth
@@ -40,9 +42,9 @@ def load(settings: Settings, seed: int) -> "SlamJob":
     """
     checks.positive_integer("gaussians", settings.gaussians)
     checks.above_zero("scale", settings.scale)
-    by_ranges = settings.data.lower().endswith(".mat") if settings.data else settings.sights == "ranges"
+    by_ranges = settings.data.lower().endswith(".mat") or is_bag(settings.data) if settings.data else settings.sights == "ranges"
     if by_ranges:
-        recording = read_plaza(settings.data) if settings.data else simulated(seed, settings.seconds)
+        recording = read_recording(settings.data, settings.topics) if settings.data else simulated(seed, settings.seconds)
         way, write = recorded.by_ranges(recording), (lambda folder: write_plaza(folder / RANGES, recording))
         model = ranging(way.landmarks, settings.gaussians, settings.scale)
     else:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from motes.applications.robot.settings import Topics
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -11,7 +13,8 @@ class Settings:
     Attributes:
         data: a recording of ranges to beacons in MATLAB's format, such as Plaza1_.mat (Djugash, Hamner, Roth 2009), or a text file of lines
             "ODOMETRY i j dx dy dtheta ..." and "LANDMARK i k x y ...", such as victoria_park.txt; both come with gtsam, in gtsam/Data.
-            One is made up where no file is named.
+            Or a bag (rosbag 1 or 2) of odometry and ranges, with the names of its topics in topics. One is made up where no file is named.
+        topics: what is where in a bag.
         seconds: how long a robot that is made up drives, at least 60.
         sights: what a robot that is made up measures: "ranges" to beacons, or "places" of objects, seen from it.
         gaussians: of which the law of a beacon is made at its first range, evenly on the ring.
@@ -19,6 +22,7 @@ class Settings:
     """
 
     data: str = field(default="", metadata={"path": True})
+    topics: Topics = Topics()
     seconds: float = 600.0
     sights: Literal["ranges", "places"] = "ranges"
     gaussians: int = 24

@@ -25,6 +25,7 @@ from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.particle import ParticleFilter
 from motes.filters.recovering import Recovering
+from motes.io.bags import is_bag, read_topic_clip
 from motes.io.clips import Clip, read_clip, write_clip
 from motes.io.result_table import Table
 from motes.io.tables import read_table
@@ -63,7 +64,7 @@ def load(settings: Settings, seed: int) -> "VideoJob":
     if not settings.cues:
         checks.refuse("cues", f"at least one of {', '.join(CUES)}", "none")
     world = None if settings.data else World(seed, settings.frames or World.count)
-    source: Clip | World = world or read_clip(settings.data)
+    source = world or (read_topic_clip(settings.data, settings.topic) if is_bag(settings.data) else read_clip(settings.data))
     first = next(source.pictures(settings.frame), None)
     if first is None:
         checks.refuse("frame", "the number of a picture that can be decoded", f"{settings.frame}, of {_length(source)}")

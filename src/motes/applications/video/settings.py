@@ -8,7 +8,8 @@ class Settings:
     """Follow a target through a clip.
 
     Attributes:
-        data: a clip, in any format that FFmpeg reads; one is rendered where no file is named.
+        data: a clip, in any format that FFmpeg reads, or a bag (rosbag 1 or 2); one is rendered where no file is named.
+        topic: the pictures of a bag, sensor_msgs/Image (mono8, rgb8, bgr8) or sensor_msgs/CompressedImage.
         frame: number of the picture, from 0, in which the target is first seen.
         box: where it is in that picture, as x,y,w,h: left, top, width and height in pixels.
         frames: how many pictures it is followed through; 0 for all to the end.
@@ -18,6 +19,7 @@ class Settings:
     """
 
     data: str = field(default="", metadata={"path": True})
+    topic: str = ""
     frame: int = 0
     box: str = ""
     frames: int = 0
