@@ -5,7 +5,7 @@ its fields, and their help is its docstring. It imports no JAX, so that `--help`
 gives a `Job`: it reads the user's files where the settings name some, and otherwise makes a world of its own from the seed.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -80,6 +80,10 @@ class Job:
     def pieces(self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int) -> Iterator[History]:
         """Run a filter; yield the histories of parts of so many steps, one after the other."""
         return run_in_chunks(seed, filter, self.model, ys, inputs, keep, chunk=chunk)
+
+    def news(self, pieces: Sequence[History]) -> Sequence[str]:
+        """Return what is to be said at once of the last of the pieces that a run has done so far; nothing by default."""
+        return ()
 
     def about(self) -> str:
         """Return what is to be said before filters run; "" for nothing."""

@@ -5,7 +5,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -89,13 +89,16 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
 
             pieces = (long_run(seed, one, job, keep, Path(folder) / name) if long else
                       job.pieces(seed, one, ys, inputs, keep, math.ceil(steps_of(ys) / CHUNKS)))  # fmt: skip
-            history, seconds = _timed(pieces, advance)
+            # what is told as it comes is told once: of the filter that the pictures show
+            history, seconds = _timed(pieces, advance, job.news if name == next(iter(worn)) else lambda pieces: ())
             history = history if job.times is None else replace(history, times=np.asarray(job.times))
             outcomes[name] = Outcome(filters[name], history, seconds)
     return outcomes
 
 
-def _timed(run: Iterator[History], advance: Any) -> tuple[History, float | None]:
+def _timed(
+    run: Iterator[History], advance: Callable[[int], None], news: Callable[[Sequence[History]], Sequence[str]]
+) -> tuple[History, float | None]:
     """Put the pieces of a run together; the median time of a step beside it."""
     pieces, times, seen = [], [], set()
     began = time.perf_counter()
@@ -110,6 +113,8 @@ def _timed(run: Iterator[History], advance: Any) -> tuple[History, float | None]
         # where it ended goes with the last one alone: laws and measurements can be large
         pieces[-1:] = [replace(one, last=None) for one in pieces[-1:]] + [piece]
         advance(count)
+        for line in news(pieces):
+            print(line, flush=True)
         began = time.perf_counter()
     return joined(pieces), float(np.median(times)) if times else None
 

@@ -127,6 +127,11 @@ class History:
         """Filtered probabilities of the modes, `(t, m)` (with `keep.modes`)."""
         return self._kept("mode_probabilities")
 
+    @property
+    def delayed_mode_probabilities(self) -> jax.Array:
+        """Probabilities of the last modes of each step, the newest first, `(t, lag + 1, m)`; NaN before the first (`keep.modes(lag=...)`)."""
+        return self._kept("delayed_mode_probabilities")
+
     def mode_probabilities_after(self, lag: int) -> jax.Array:
         """Probabilities `(t, m)` of the mode of each step given the measurements of `lag` more steps (with `keep.modes(lag=...)`).
 
@@ -135,7 +140,7 @@ class History:
         Raises:
             MotesError: fewer were kept.
         """
-        kept = self._kept("delayed_mode_probabilities")
+        kept = self.delayed_mode_probabilities
         checks.natural("mode_probabilities_after lag", lag)
         if lag >= kept.shape[1]:
             checks.refuse("mode_probabilities_after lag", f"at most {kept.shape[1] - 1}, as was kept", lag)
@@ -217,7 +222,7 @@ class History:
         if "mode_probabilities" in self.kept:
             data["mode_probabilities"] = (("time", "mode"), np.asarray(self.mode_probabilities))
         if "delayed_mode_probabilities" in self.kept:
-            data["delayed_mode_probabilities"] = (("time", "delay", "mode"), np.asarray(self.kept["delayed_mode_probabilities"]))
+            data["delayed_mode_probabilities"] = (("time", "delay", "mode"), np.asarray(self.delayed_mode_probabilities))
         for name in ("log_evidence", "ess", "collapsed", "invalid", "nis", "freedom", "alarm", "gated", "lost", "recovered"):
             data[name] = (("time",), np.asarray(getattr(self.info, name)))
         names = list(self.names)
