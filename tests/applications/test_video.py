@@ -24,8 +24,9 @@ from motes.applications.video.boosting import boosted
 from motes.applications.video.colour import distance, histograms
 from motes.applications.video.features import moving, pool, values, within
 from motes.applications.video.frames import BINS, HUES, colour_table, looked_at
-from motes.applications.video.job import LOST, load, overlap
+from motes.applications.video.job import load
 from motes.applications.video.settings import Settings
+from motes.applications.video.target import LOST, overlap
 from motes.applications.video.world import World
 from motes.cli import long_runs
 from motes.cli.main import main
@@ -36,7 +37,7 @@ from motes.io.clips import read_clip, write_clip
 pytestmark = pytest.mark.jax
 
 PLAIN = partial(World, twin=False, bar=False, light=1.0, turn=0.0, gone=0)
-CAR = {"frame": 207, "box": "317,132,165,287", "frames": 29}
+CAR = {"frame": 207, "box": ("317,132,165,287",), "frames": 29}
 BAR = slice(12, 15)
 
 
@@ -49,7 +50,7 @@ def rendered(monkeypatch):
         monkeypatch.setattr(tracking.World, "__init__", lambda self, *_: None)
         job = load(Settings(frames=world.count, **settings), seed)
         history = mo.run(seed, job.worn(job.filters["particle"]), job.model, job.ys(), keep=job.keep)
-        return job, history, overlap(job.found(history), world.boxes)
+        return job, history, overlap(job.targets[0].found(history), world.boxes)
 
     return follow
 
@@ -57,7 +58,7 @@ def rendered(monkeypatch):
 def test_sums_and_features_are_those_of_the_pixels():
     generator = np.random.default_rng(1)
     before, picture = generator.integers(0, 256, (2, 33, 41, 3), dtype=np.uint8)
-    y = list(looked_at([before, None, picture], 2))
+    y = list(looked_at([before, None, picture], (2,)))
     assert y[1] is None and y[2]["sums"].shape == (4, 18, 22) and y[2]["bins"].shape == (17, 21)
     red, green, blue = np.moveaxis(picture[::2, ::2].astype(int), 2, 0)
     old = before[::2, ::2].astype(int).sum(axis=2) // 3
@@ -148,12 +149,12 @@ def test_a_damaged_picture_is_a_step_without_measurement(tmp_path):
     found = list(read_clip(path).pictures())
     assert len(found) == 24 and found[6] is None and all(one is not None for one in found[:6])
     box = PLAIN(4, 24).boxes[0]
-    job = load(Settings(data=str(path), box=",".join(map(str, box))), 0)
+    job = load(Settings(data=str(path), box=(",".join(map(str, box)),)), 0)
     history = mo.run(0, job.worn(job.filters["particle"]), job.model, job.ys(), keep=job.keep)
     assert np.asarray(history.info.log_evidence)[6] == 0 and len(history.ess) == 24
     short = tmp_path / "short.mkv"
     short.write_bytes(path.read_bytes()[: packets[12][0]])
-    job = load(Settings(data=str(short), box=",".join(map(str, box)), frames=24), 0)
+    job = load(Settings(data=str(short), box=(",".join(map(str, box)),), frames=24), 0)
     history = mo.run(0, job.worn(job.filters["particle"]), job.model, job.ys(), keep=job.keep)
     assert "The clip ended after 12 of 24 pictures." in job.verdict(history)
 
@@ -168,9 +169,10 @@ def test_a_piece_has_a_picture_that_shows_its_form(monkeypatch):
 
 def test_what_cannot_be_followed_is_told_in_one_line(tmp_path):
     path = str(saved(tmp_path / "clip.mkv", list(PLAIN(4, 10).pictures())))
-    good = {"box": "9,9,40,40"}
-    for changes, words in (({"box": "300,10,40,40"}, "box inside 320 x 240"), ({"box": "-3,10,40,40"}, "box inside"),
-                           ({"box": "10,10,4,40"}, "box 8 pixels"), ({"box": "10,10,40"}, "box x,y,w,h"), ({}, "box none"),
+    good = {"box": ("9,9,40,40",)}
+    for changes, words in (({"box": ("300,10,40,40",)}, "box inside 320 x 240"), ({"box": ("-3,10,40,40",)}, "box inside"),
+                           ({"box": ("10,10,4,40",)}, "box 8 pixels"), ({"box": ("10,10,40",)}, "box x,y,w,h"), ({}, "box none"),
+                           ({"box": ("9,9,40,40", "300,10,40,40")}, "box 2 inside 320 x 240 300,10,40,40"),
                            (good | {"frame": 30}, "frame 30"), (good | {"frame": -1}, "frame -1"),
                            (good | {"cues": ("smell",)}, "cues colour"), (good | {"cues": ()}, "cues")):  # fmt: skip
         with pytest.raises(MotesError) as error:
@@ -193,7 +195,7 @@ def test_a_target_is_found_again_where_it_comes_back(rendered):
     world = PLAIN(3, 120, gone=15)
     job, history, shared = rendered(world, 0)
     assert np.nanmean(shared[:96]) > 0.8
-    assert job.is_lost(history)[102:111].all() and not job.is_lost(history)[:94].any()
+    assert job.targets[0].is_lost(history)[102:111].all() and not job.targets[0].is_lost(history)[:94].any()
     assert np.mean(shared[114:]) > 0.7
     assert "Lost" in job.verdict(history) and job.scores(history)[0].value < 20
 
@@ -206,7 +208,7 @@ def same_bits(*histories):
 def test_a_killed_run_goes_on_with_the_same_bits(tmp_path, monkeypatch):
     monkeypatch.setattr(long_runs, "EVERY", 0.0)
     job = load(Settings(frames=36), 1)
-    filter = job.worn(job.filters["particle"])
+    filter = job.filters["particle"]
 
     def run():
         return long_runs.long_run(1, filter, job, job.keep, tmp_path / "run" / "particle")
@@ -222,7 +224,7 @@ def test_a_killed_run_goes_on_with_the_same_bits(tmp_path, monkeypatch):
     assert len(parts[0].ess) in (12, 24) and len(parts) > 1
     again = mo.filters.joined(parts)
     assert same_bits(whole, again)
-    assert np.array_equal(mo.run(1, filter, job.model, job.ys(), keep=job.keep).mean, whole.mean)
+    assert np.array_equal(mo.run(1, job.worn(filter), job.model, job.ys(), keep=job.keep).mean, whole.mean)
     ys = list(job.ys())
     assert np.array_equal(np.asarray(ys[14]["sums"]), next(job.ys(14))["sums"]), "what moved is known from the picture before"
 
@@ -233,7 +235,7 @@ def test_the_command_writes_clip_boxes_and_strip(tmp_path, monkeypatch, capsys):
     assert main(["demo", "video", "--frames", "24"]) == 0
     assert "overlap" in capsys.readouterr().out
     rows = list(csv.DictReader(Path("out/particle_boxes.csv").open()))
-    assert len(rows) == 24 and {"frame", "time", "x", "y", "w", "h", "score", "lost"} == set(rows[0])
+    assert len(rows) == 24 and {"frame", "time", "target", "x", "y", "w", "h", "score", "lost"} == set(rows[0])
     clip = read_clip("out/followed.mp4")
     assert (clip.width, clip.height, len(list(clip.pictures()))) == (320, 240, 24)
     true = World(0, 24).boxes[0]
@@ -283,7 +285,7 @@ def changes(job):
 
     def bar(step, picture):
         if BAR.start <= step < BAR.stop:
-            left, _, width, _ = job.boxes[CAR["frame"] + step]
+            left, _, width, _ = job.targets[0].boxes[CAR["frame"] + step]
             picture[:, max(0, int(left - 10)) : int(left + width + 10)] = 128
         return picture
 
@@ -309,11 +311,11 @@ def test_the_car_is_followed(name):
         history = mo.run(seed, job.worn(job.filters["particle"]), job.model, ys, keep=job.keep)
         seen = np.ones(len(ys), bool)
         seen[BAR] = name != "bar"
-        found, true = job.found(history), np.array([job.boxes[CAR["frame"] + step] for step in range(len(ys))])
+        found, true = job.targets[0].found(history), np.array([job.targets[0].boxes[CAR["frame"] + step] for step in range(len(ys))])
         off.append(np.hypot(*(found[:, :2] + found[:, 2:] / 2 - true[:, :2] - true[:, 2:] / 2).T)[seen].mean())
         shared.append(overlap(found, true)[seen].mean())
-        under.append(job.score_of(history)[BAR].max())
-        elsewhere.append(np.delete(job.score_of(history), np.arange(len(ys))[BAR]).min())
+        under.append(job.targets[0].score_of(history)[BAR].max())
+        elsewhere.append(np.delete(job.targets[0].score_of(history), np.arange(len(ys))[BAR]).min())
     assert np.mean(off) <= 8 and np.mean(shared) >= (0.85 if name == "clean" else 0.83), (off, shared)
     assert min(shared) > 0.7 and min(elsewhere) > LOST, "none is lost"
     assert name != "bar" or max(under) < LOST, under

@@ -1,0 +1,63 @@
+"""Histories of several targets as one, and taken apart again: so that they are kept, saved and gone on from together."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import block_diag
+
+from motes.applications.video.frames import of_stride
+from motes.core.logspace import RunningSum
+from motes.core.record import replace, values
+from motes.filters.history import Carry, History
+from motes.filters.info import Info
+from motes.laws.observed import Observed
+
+OWN = "targets"
+"""What is kept of each target alone, by its name."""
+
+
+def together(histories: Mapping[str, History], y: Any) -> History:
+    """Return the histories of targets over the same pictures as one.
+
+    Its mean and covariance are those of all states; its record has of each step the smallest effective size, the sum of the log evidence
+    and otherwise the largest value.
+
+    Args:
+        histories: by the name of the target.
+        y: the last measurement, as all targets have it.
+    """
+    each = list(histories.values())
+    mean = jnp.concatenate([one.mean for one in each], axis=1)
+    cov = jax.vmap(block_diag)(*(one.cov for one in each))
+    own = {name: {**one.kept, "info": values(one.info)} for name, one in histories.items()}
+    ends = {name: {"law": one.last.state, "evidence": values(one.last.evidence), "suspicion": one.last.suspicion}
+            for name, one in histories.items()}  # fmt: skip
+    info = jax.tree.map(lambda *parts: jnp.max(jnp.stack(parts), axis=0), *(one.info for one in each))
+    least = jnp.min(jnp.stack([one.info.ess for one in each]), axis=0)
+    info = replace(info, ess=least, log_evidence=sum(one.info.log_evidence for one in each))
+    evidence, missed = (sum(getattr(one.last.evidence, part) for one in each) for part in ("total", "missed"))
+    last = Carry(ends, RunningSum(evidence, missed), max(one.last.suspicion for one in each),
+                 Observed(y, each[0].last.y.there), None, each[0].last.step)  # fmt: skip
+    names = tuple(f"{state}_{name}" for name, one in histories.items() for state in one.names)
+    return replace(each[0], kept={"mean": mean, "cov": cov, OWN: own}, info=info, last=last, names=names)
+
+
+def apart(history: History, name: str, like: tuple[str, ...], stride: int) -> History:
+    """Return the history of one target.
+
+    Args:
+        history: of several.
+        name: of the target.
+        like: names of its states.
+        stride: with which it is looked at.
+    """
+    own, last = dict(history.kept[OWN][name]), history.last
+    info = Info(**{field: jnp.asarray(value) for field, value in own.pop("info").items()})
+    if last is not None:
+        end = last.state[name]
+        evidence = RunningSum(**{part: jnp.asarray(value) for part, value in end["evidence"].items()})
+        y = Observed(of_stride(last.y.value, stride), last.y.there)
+        last = replace(last, state=end["law"], evidence=evidence, suspicion=jnp.asarray(end["suspicion"]), y=y)
+    return replace(history, kept=own, info=info, last=last, names=like)
