@@ -23,12 +23,13 @@ from motes.applications.video import job as tracking
 from motes.applications.video.boosting import boosted
 from motes.applications.video.colour import distance, histograms
 from motes.applications.video.features import moving, pool, values, within
-from motes.applications.video.frames import BINS, HUES, colour_table, looked_at
+from motes.applications.video.frames import BINS, HUES, colour_table, looked_at, of_stride
 from motes.applications.video.job import load
 from motes.applications.video.settings import Settings
 from motes.applications.video.target import LOST, overlap
 from motes.applications.video.world import World
 from motes.cli import long_runs
+from motes.cli.asked import Run, asked
 from motes.cli.main import main
 from motes.core.checks import FileError, MotesError
 from motes.filters import pieces
@@ -190,6 +191,81 @@ def test_what_cannot_be_followed_is_told_in_one_line(tmp_path):
         refused(error, name)
 
 
+def spoiled(folder):
+    """Write files that are no clips, or only in part; returns one of ten pictures of 320 x 240."""
+    av = pytest.importorskip("av")
+    pictures = list(PLAIN(4, 10).pictures())
+    clip = saved(folder / "clip.mkv", pictures)
+    with av.open(str(clip)) as container:
+        packets = [(one.pos, one.size) for one in container.demux(video=0) if one.size]
+    data = clip.read_bytes()
+    whole = saved(folder / "whole.mp4", pictures, exact=False).read_bytes()
+    (folder / "folder.mp4").mkdir()
+    for name, content in (("empty.mp4", b""), ("text.mp4", b"frame,x,y,w,h\n" * 40), ("cut.mp4", whole[: len(whole) // 2]),
+                          ("head.mkv", data[: packets[0][0]]), ("table.csv", b"frame,x,y,w,h\n0,1,2,3,4\n")):  # fmt: skip
+        (folder / name).write_bytes(content)
+    spoilt = bytearray(data)
+    for pos, size in packets:
+        spoilt[pos + 4 : pos + size] = b"\xff" * (size - 4)
+    (folder / "none_decodes.mkv").write_bytes(spoilt)
+    with av.open(str(folder / "sound.mkv"), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000, layout="mono")
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 4000), np.int16), layout="mono")
+        sound.rate = 8000
+        container.mux(stream.encode(sound))
+        container.mux(stream.encode())
+    return clip
+
+
+def test_what_is_no_clip_is_one_line_of_the_command(tmp_path, capsys):
+    clip = spoiled(tmp_path)
+    box = ["--box", "9,9,40,40"]
+    broken = ("empty.mp4", "text.mp4", "cut.mp4", "head.mkv", "table.csv", "folder.mp4", "none.mp4")
+    asked_for = [(name, box, "expected") for name in broken]
+    asked_for += [
+        ("sound.mkv", box, "a clip with pictures, got one without"),
+        ("none_decodes.mkv", box, "pictures that can be decoded"),
+        (clip.name, [*box, "--frame", "10"], "frame: expected the number of a picture that can be decoded, got 10, of 10"),
+        (clip.name, [*box, "--box", "300,10,40,40"], "box 2: expected one inside of the picture, 320 x 240 pixels, got 300,10,"),
+        (clip.name, ["--box", "9,9"], "box: expected x,y,w,h"),
+        (clip.name, [], "box: expected x,y,w,h"),
+    ]
+    for name, flags, words in asked_for:
+        assert main(["run", "video", "--data", str(tmp_path / name), *flags, "--out", str(tmp_path / "out")]) == 2, name
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1 and words in lines[0] and len(lines[0]) < 520, (name, lines)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_clip_of_which_the_end_is_missing_is_followed_to_there(tmp_path):
+    """In Matroska up to the byte at which it ends; an MP4 that has its index in front, too."""
+    av = pytest.importorskip("av")
+    pictures = list(PLAIN(4, 20).pictures())
+    with av.open(str(tmp_path / "whole.mp4"), "w", options={"movflags": "faststart"}) as container:
+        stream = container.add_stream("libx264", rate=25, options={"crf": "20", "bf": "0"})
+        stream.width, stream.height, stream.pix_fmt = 320, 240, "yuv420p"
+        for picture in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    data = (tmp_path / "whole.mp4").read_bytes()
+    (tmp_path / "short.mp4").write_bytes(data[: 2 * len(data) // 3])
+    clip = read_clip(tmp_path / "short.mp4")
+    found = [one for one in clip.pictures() if one is not None]
+    assert clip.count == 20 and 2 < len(found) < 20
+    ys = list(load(Settings(data=str(tmp_path / "short.mp4"), box=("9,9,40,40",)), 0).ys())
+    assert len(ys) == len(found) and ys[-1] is not None, "it ends with its last picture that can be decoded"
+
+
+def test_pictures_without_colour_are_followed(tmp_path):
+    world = PLAIN(4, 12)
+    grey = [np.broadcast_to(one.mean(axis=2, keepdims=True).astype(np.uint8), one.shape) for one in world.pictures()]
+    job = load(Settings(data=str(saved(tmp_path / "grey.mkv", grey)), box=(",".join(map(str, world.boxes[0])),)), 0)
+    history = job.piece(0, job.filters["particle"], list(job.ys()), job.keep, None)
+    assert overlap(job.targets[0].found(history), world.boxes).min() > 0.6
+    single = load(Settings(data=str(tmp_path / "grey.mkv"), box=("9,9,40,40",), frame=11), 0)
+    assert len(list(single.ys())) == 1, "the last picture alone is a clip, too"
+
+
 def test_a_target_is_found_again_where_it_comes_back(rendered):
     """It is gone for twenty pictures and comes back elsewhere; one world here, twenty by night."""
     world = PLAIN(3, 120, gone=15)
@@ -229,21 +305,65 @@ def test_a_killed_run_goes_on_with_the_same_bits(tmp_path, monkeypatch):
     assert np.array_equal(np.asarray(ys[14]["sums"]), next(job.ys(14))["sums"]), "what moved is known from the picture before"
 
 
+def test_several_targets_are_each_followed_as_if_alone(tmp_path, monkeypatch):
+    """Also where the run of both was cut and goes on from what it kept."""
+    monkeypatch.setattr(long_runs, "EVERY", 0.0)
+    boxes = spelled_boxes(World(1, 36))
+
+    def run(*which):
+        job = load(Settings(frames=36, box=which), 1)
+        return job, long_runs.long_run(1, job.filters["particle"], job, job.keep, tmp_path / str(len(which)))
+
+    _, cut = run(*boxes)
+    next(cut), next(cut)
+    cut.close()
+    job, rest = run(*boxes)
+    parts = list(rest)
+    assert len(parts) > 1 and len(parts[0].ess) in (12, 24)
+    both = mo.filters.joined(parts)
+    assert both.mean.shape == (36, 6) and both.cov.shape == (36, 6, 6) and both.names[3:] == ("x_2", "y_2", "log_size_2")
+    for (_, own), box in zip(job.each(both), boxes, strict=True):
+        alone = mo.filters.joined(list(run(box)[1]))
+        assert same_bits(own, alone) and np.array_equal(own.log_likelihood, alone.log_likelihood)
+    assert len(list(tmp_path.glob(f".*{long_runs.ENDING}"))) == 3, "each has a file of its own"
+
+
+def test_pictures_are_looked_at_once_for_boxes_of_all_sizes():
+    pictures = list(PLAIN(4, 10).pictures())[:3]
+    both = list(looked_at([pictures[0], None, *pictures[1:]], (1, 2)))
+    assert both[1] is None
+    for stride in (1, 2):
+        alone = list(looked_at(pictures, (stride,)))
+        for one, other in zip([both[0], *both[2:]], alone, strict=True):
+            assert all(np.array_equal(of_stride(one, stride)[name], other[name]) for name in ("bins", "sums"))
+
+
+def spelled_boxes(world):
+    """Return the boxes of the target and of what stands below or above it in the first picture, as a user gives them."""
+    left, top, width, height = world.boxes[0].tolist()
+    return tuple(f"{left:g},{up:g},{width:g},{height:g}" for up in (top, top + (50 if top < 120 else -50)))
+
+
 def test_the_command_writes_clip_boxes_and_strip(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
-    assert main(["demo", "video", "--frames", "24"]) == 0
-    assert "overlap" in capsys.readouterr().out
+    one, other = spelled_boxes(World(0, 24))
+    assert main(["demo", "video", "--frames", "24", "--box", one, "--box", other]) == 0
+    said = capsys.readouterr().out
+    assert "overlap" in said and "2 targets" in said and "Target 1: " in said and "Target 2: " in said
     rows = list(csv.DictReader(Path("out/particle_boxes.csv").open()))
-    assert len(rows) == 24 and {"frame", "time", "target", "x", "y", "w", "h", "score", "lost"} == set(rows[0])
+    assert {"frame", "time", "target", "x", "y", "w", "h", "score", "lost"} == set(rows[0])
+    assert [(row["frame"], row["target"]) for row in rows] == [(str(step), name) for step in range(24) for name in ("1", "2")]
+    assert asked(Run, ["out/video.toml"], "motes run").own().box == (one, other)
     clip = read_clip("out/followed.mp4")
     assert (clip.width, clip.height, len(list(clip.pictures()))) == (320, 240, 24)
-    true = World(0, 24).boxes[0]
     drawn = np.asarray(next(clip.pictures())).astype(int)
     bare = next(World(0, 24).pictures()).astype(int)
     changed = np.abs(drawn - bare).mean(axis=2)
-    edge, inside = (changed[top : top + 3, int(true[0]) + 8 : int(true[0]) + 14].mean() for top in (int(true[1]) - 1, int(true[1]) + 5))
-    assert edge > inside + 15, "the box is drawn where the target is"
+    for box in (one, other):
+        left, top, width, _ = (int(float(side)) for side in box.split(","))
+        edge, inside = (changed[row : row + 3, left + 8 : left + width - 8].mean() for row in (top - 1, top + 5))
+        assert edge > inside + 15, "each box is drawn where its target is"
     assert not list(Path("out").glob(f".*{long_runs.ENDING}"))
 
 

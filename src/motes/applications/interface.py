@@ -85,6 +85,10 @@ class Job:
         """Run a filter over a piece of measurements that do not fit into memory, from where the piece before ended."""
         return run(seed, filter, self.model, ys, None, keep, after)
 
+    def simulated(self) -> Model:
+        """Return the model from which plans and studies draw measurements; of one that is not to be planned, refuse in one line."""
+        return self.model
+
     def told(self) -> str:
         """Return what tells its runs from others of the same filter and measurements, so that a killed one goes on from its own alone."""
         return ""

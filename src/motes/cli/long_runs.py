@@ -13,6 +13,7 @@ import jax
 
 from motes.applications.interface import Job
 from motes.cli.interruption import keeps
+from motes.core.memory import give_back
 from motes.core.record import replace
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
@@ -53,6 +54,7 @@ def long_run(seed: int, filter: Filter, job: Job, keep: Keep, path: Path) -> Ite
     for piece, _ in gathered(job.model, measurements, None):
         part = job.piece(seed, filter, piece, keep, found[-1] if found else None)
         jax.block_until_ready(part)
+        give_back()
         yield part
         found[-1:] = [replace(one, last=None) for one in found[-1:]] + [part]
         if time.monotonic() - since > EVERY:

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from motes.laws.observed import Observed
+
 HUES, VALUES = 10, 10
 """Bins of hue (and as many of saturation), and of brightness for what has no colour."""
 BINS = HUES * HUES + VALUES
@@ -40,6 +42,14 @@ def looked_at(pictures: Iterable[np.ndarray | None], strides: Sequence[int]) -> 
 def of_stride(y: Any, stride: int) -> Any:
     """Return what was measured with a stride."""
     return y.get(str(stride), y)
+
+
+def steps_alone(ys: Sequence[Any], stride: int) -> Iterator[Observed]:
+    """Give what was measured with a stride, step by step as runs of one step; where nothing was, in the form of the others."""
+    form = next(of_stride(y, stride) for y in ys if y is not None)
+    for y in ys:
+        value = form if y is None else of_stride(y, stride)
+        yield Observed({name: array[None] for name, array in value.items()}, np.array([y is not None]))
 
 
 def _measured(picture: np.ndarray, before: np.ndarray | None) -> tuple[dict[str, np.ndarray], np.ndarray]:

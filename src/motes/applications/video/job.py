@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.interface import Job, Score, with_cloud
-from motes.applications.video.frames import looked_at, of_stride
+from motes.applications.video.frames import looked_at, steps_alone
 from motes.applications.video.learning import first_memory
 from motes.applications.video.model import CUES, Look, followed
 from motes.applications.video.settings import Settings
@@ -21,7 +21,8 @@ from motes.applications.video.target import Target
 from motes.applications.video.together import apart, together
 from motes.applications.video.world import RATE, World
 from motes.core import checks, random
-from motes.filters.history import History
+from motes.core.record import replace
+from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
 from motes.filters.particle import ParticleFilter
@@ -29,6 +30,7 @@ from motes.filters.run import run
 from motes.io.clips import Clip, read_clip, write_clip
 from motes.io.result_table import Table
 from motes.io.tables import read_table
+from motes.models.interface import Model
 from motes.resampling.policy import Always
 
 SMALLEST = 8
@@ -70,6 +72,9 @@ def load(settings: Settings, seed: int) -> "VideoJob":
     return VideoJob(
         model=targets[0].model, ys=Pictures(source, settings.frame, settings.frames, strides), keep=with_score, targets=targets,
         filters={"particle": ParticleFilter(n=200, policy=Always())}, counted=("x", "y"),
+        blocks={"middle": ("x", "y"), "size": ("log_size",)},
+        # a run of a study that ends farther off than the box is long
+        lost=("middle", float(np.prod(boxes[0][2:]) ** 0.5)),
     )  # fmt: skip
 
 
@@ -149,11 +154,17 @@ class VideoJob(Job):
         return self.targets[0].worn(filter)
 
     def piece(self, seed: int, filter: Filter, ys: Any, keep: Keep, after: History | None) -> History:
-        """Follow all targets through some pictures."""
+        """Follow all targets through some pictures.
+
+        One by one: a program of one step needs less memory than one of many while it is compiled and after, and takes no longer.
+        """
         found = {}
         for target in self.targets:
-            seen = [one and of_stride(one, target.look.stride) for one in ys]
-            found[target.name] = run(seed, target.worn(filter), target.model, seen, None, keep, self.of(target, after))
+            worn, parts, end = target.worn(filter), [], self.of(target, after)
+            for y in steps_alone(ys, target.look.stride):
+                end = run(seed, worn, target.model, y, None, keep, end)
+                parts[-1:] = [replace(one, last=None) for one in parts[-1:]] + [end]
+            found[target.name] = joined(parts)
         if len(found) == 1:
             return found[self.targets[0].name]
         if keep is not self.keep:
@@ -169,6 +180,18 @@ class VideoJob(Job):
     def each(self, history: History) -> list[tuple[Target, History]]:
         """Return all targets, each with its history."""
         return [(target, self.of(target, history)) for target in self.targets]  # type: ignore[misc]
+
+    def simulated(self) -> Model:
+        """Return a model that draws pictures, made from the first one.
+
+        Raises:
+            MotesError: there are several targets.
+        """
+        from motes.applications.video.cutout import cut_out
+
+        if len(self.targets) > 1:
+            checks.refuse("box", "one, to be planned or studied", len(self.targets))
+        return cut_out(self.targets[0], next(self.ys.shown()))  # type: ignore[arg-type]
 
     def told(self) -> str:
         """Tell what is followed, and how."""
