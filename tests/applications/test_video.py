@@ -138,6 +138,32 @@ def test_clips_of_all_kinds(tmp_path):
     assert np.array_equal(grey[..., 0], grey[..., 2]) and np.abs(grey.astype(int) - smooth).max() <= 1
 
 
+def test_the_model_draws_pictures_as_they_are_looked_at():
+    """Of the first state the first picture itself, but for the noise of the camera; elsewhere the target is where the state is."""
+    job = load(Settings(frames=12), 0)
+    picture, model, target = next(job.ys.shown()), job.simulated(), job.targets[0]
+    states = jnp.stack([model.initial.mean(), jnp.array([160.0, 120.0, float(model.initial.mean()[2])])], axis=1)
+    drawn = model.sensor.sample(jax.random.key(0), states, None, 0)
+    wanted = next(looked_at([picture], (1,)))
+    assert drawn["sums"].dtype == wanted["sums"].dtype and drawn["bins"].dtype == wanted["bins"].dtype
+    sums = [np.asarray(drawn["sums"][..., place]) for place in (0, 1)]
+    assert sums[0].shape == wanted["sums"].shape
+    assert np.abs(np.diff(np.diff(sums[0][0] - wanted["sums"][0], axis=0), axis=1)).mean() < 3
+    box = look_inside(wanted["sums"], target.box), look_inside(sums[1], np.array([138, 102, 44, 36]))
+    assert np.abs(box[0] - box[1]).max() < 4, "the target is put down there"
+    assert np.abs(look_inside(sums[1], target.box) - box[0]).max() > 10, "and is no longer where it was cut out"
+    ys = jax.tree.map(lambda leaf: leaf[..., 0], drawn)
+    density = model.sensor.density(ys, states, None, 0)
+    assert density[0] > density[1] + 20
+
+
+def look_inside(sums, box):
+    """Return the mean of the first three channels over a box."""
+    left, top, width, height = (int(side) for side in box)
+    corners = sums[:3, top + height, left + width] - sums[:3, top, left + width] - sums[:3, top + height, left] + sums[:3, top, left]
+    return corners / (width * height)
+
+
 def test_a_damaged_picture_is_a_step_without_measurement(tmp_path):
     pictures = list(PLAIN(4, 24).pictures())
     path = saved(tmp_path / "good.mkv", pictures)
@@ -180,6 +206,8 @@ def test_what_cannot_be_followed_is_told_in_one_line(tmp_path):
             load(Settings(data=path, **changes), 0)
         refused(error, *words.split()[:1])
         assert all(word in str(error.value) for word in words.split()), (words, str(error.value))
+    with pytest.raises(MotesError, match="frame: expected the number of a picture in which the target is to be seen, got 165"):
+        load(Settings(frame=165), 0)
     (tmp_path / "list.m3u8").write_text("#EXTM3U\n#EXTINF:1,\nhttp://example.org/clip.ts\n")
     (tmp_path / "noise.mp4").write_bytes(np.random.default_rng(0).bytes(3000))
     whole = saved(tmp_path / "whole.mp4", list(PLAIN(4, 10).pictures()), exact=False).read_bytes()
@@ -225,7 +253,7 @@ def test_what_is_no_clip_is_one_line_of_the_command(tmp_path, capsys):
     asked_for += [
         ("sound.mkv", box, "a clip with pictures, got one without"),
         ("none_decodes.mkv", box, "pictures that can be decoded"),
-        (clip.name, [*box, "--frame", "10"], "frame: expected the number of a picture that can be decoded, got 10, of 10"),
+        (clip.name, [*box, "--frame", "10"], "a picture that can be decoded, got 10, of a clip that ends before"),
         (clip.name, [*box, "--box", "300,10,40,40"], "box 2: expected one inside of the picture, 320 x 240 pixels, got 300,10,"),
         (clip.name, ["--box", "9,9"], "box: expected x,y,w,h"),
         (clip.name, [], "box: expected x,y,w,h"),
@@ -248,7 +276,7 @@ def test_a_clip_of_which_the_end_is_missing_is_followed_to_there(tmp_path):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         container.mux(stream.encode())
     data = (tmp_path / "whole.mp4").read_bytes()
-    (tmp_path / "short.mp4").write_bytes(data[: 2 * len(data) // 3])
+    (tmp_path / "short.mp4").write_bytes(data[: 9 * len(data) // 10])
     clip = read_clip(tmp_path / "short.mp4")
     found = [one for one in clip.pictures() if one is not None]
     assert clip.count == 20 and 2 < len(found) < 20

@@ -35,7 +35,7 @@ def looked_at(pictures: Iterable[np.ndarray | None], strides: Sequence[int]) -> 
             continue
         found = {}
         for stride in strides:
-            found[str(stride)], before[stride] = _measured(picture[::stride, ::stride], before[stride])
+            found[str(stride)], before[stride] = _one_measured(picture[::stride, ::stride], before[stride])
         yield of_stride(found, strides[0]) if len(strides) == 1 else found
 
 
@@ -52,7 +52,7 @@ def steps_alone(ys: Sequence[Any], stride: int) -> Iterator[Observed]:
         yield Observed({name: array[None] for name, array in value.items()}, np.array([y is not None]))
 
 
-def _measured(picture: np.ndarray, before: np.ndarray | None) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def _one_measured(picture: np.ndarray, before: np.ndarray | None) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the measurement of a picture, and its brightness for the next one."""
     planes = np.ascontiguousarray(np.moveaxis(picture, 2, 0))
     red, green, blue = planes.astype(np.int16)

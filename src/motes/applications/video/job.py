@@ -1,6 +1,7 @@
 """The tracker of clips as an application: `motes demo video` and `motes run video`."""
 
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -22,6 +23,7 @@ from motes.applications.video.together import apart, together
 from motes.applications.video.world import RATE, World
 from motes.core import checks, random
 from motes.core.record import replace
+from motes.filters import notices
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
@@ -65,6 +67,8 @@ def load(settings: Settings, seed: int) -> "VideoJob":
     if first is None:
         checks.refuse("frame", "the number of a picture that can be decoded", f"{settings.frame}, of {_length(source)}")
     boxes = [world.boxes[settings.frame]] if world is not None and not settings.box else _boxes(settings.box, first)
+    if np.isnan(boxes).any():
+        checks.refuse("frame", "the number of a picture in which the target is to be seen", settings.frame)
     names = [str(number + 1) for number in range(len(boxes))]
     truth = _truth(settings, world, names)
     targets = tuple(_target(settings, seed, name, box, first, truth[name]) for name, box in zip(names, boxes, strict=True))
@@ -160,11 +164,16 @@ class VideoJob(Job):
         """
         found = {}
         for target in self.targets:
-            worn, parts, end = target.worn(filter), [], self.of(target, after)
-            for y in steps_alone(ys, target.look.stride):
-                end = run(seed, worn, target.model, y, None, keep, end)
-                parts[-1:] = [replace(one, last=None) for one in parts[-1:]] + [end]
+            before = end = self.of(target, after)
+            worn, parts = target.worn(filter), []
+            with warnings.catch_warnings():
+                # what is to be said of the piece is not said of each step
+                warnings.simplefilter("ignore", checks.MotesWarning)
+                for y in steps_alone(ys, target.look.stride):
+                    end = run(seed, worn, target.model, y, None, keep, end)
+                    parts[-1:] = [replace(one, last=None) for one in parts[-1:]] + [end]
             found[target.name] = joined(parts)
+            notices.warn(found[target.name], before)
         if len(found) == 1:
             return found[self.targets[0].name]
         if keep is not self.keep:

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import block_diag
+import numpy as np
 
 from motes.applications.video.frames import of_stride
 from motes.core.logspace import RunningSum
@@ -29,19 +29,22 @@ def together(histories: Mapping[str, History], y: Any) -> History:
         y: the last measurement, as all targets have it.
     """
     each = list(histories.values())
-    mean = jnp.concatenate([one.mean for one in each], axis=1)
-    cov = jax.vmap(block_diag)(*(one.cov for one in each))
+    mean = np.concatenate([one.mean for one in each], axis=1)
+    cov, begin = np.zeros((*mean.shape, mean.shape[1]), mean.dtype), 0
+    for one in each:
+        block = slice(begin, begin + one.mean.shape[1])
+        cov[:, block, block], begin = one.cov, block.stop
     own = {name: {**one.kept, "info": values(one.info)} for name, one in histories.items()}
     ends = {name: {"law": one.last.state, "evidence": values(one.last.evidence), "suspicion": one.last.suspicion}
             for name, one in histories.items()}  # fmt: skip
-    info = jax.tree.map(lambda *parts: jnp.max(jnp.stack(parts), axis=0), *(one.info for one in each))
-    least = jnp.min(jnp.stack([one.info.ess for one in each]), axis=0)
-    info = replace(info, ess=least, log_evidence=sum(one.info.log_evidence for one in each))
-    evidence, missed = (sum(getattr(one.last.evidence, part) for one in each) for part in ("total", "missed"))
-    last = Carry(ends, RunningSum(evidence, missed), max(one.last.suspicion for one in each),
-                 Observed(y, each[0].last.y.there), None, each[0].last.step)  # fmt: skip
+    info = jax.tree.map(lambda *parts: jnp.asarray(np.max(parts, axis=0)), *(one.info for one in each))
+    least, evidence = (jnp.asarray(sums([getattr(one.info, name) for one in each], axis=0))
+                       for name, sums in (("ess", np.min), ("log_evidence", np.sum)))  # fmt: skip
+    info = replace(info, ess=least, log_evidence=evidence)
+    total = RunningSum(*(sum(getattr(one.last.evidence, part) for one in each) for part in ("total", "missed")))
+    last = Carry(ends, total, max(one.last.suspicion for one in each), Observed(y, each[0].last.y.there), None, each[0].last.step)
     names = tuple(f"{state}_{name}" for name, one in histories.items() for state in one.names)
-    return replace(each[0], kept={"mean": mean, "cov": cov, OWN: own}, info=info, last=last, names=names)
+    return replace(each[0], kept={"mean": jnp.asarray(mean), "cov": jnp.asarray(cov), OWN: own}, info=info, last=last, names=names)
 
 
 def apart(history: History, name: str, like: tuple[str, ...], stride: int) -> History:
