@@ -470,12 +470,15 @@ def test_the_car_is_followed(name):
 
 
 PEAK = """
-import re, motes as mo
+import re, tempfile
+from pathlib import Path
 from motes.applications.video.job import load
 from motes.applications.video.settings import Settings
+from motes.cli.long_runs import long_run
 def peak(frames):
     job = load(Settings(frames=frames), 0)
-    mo.run(0, job.worn(job.filters["particle"]), job.model, job.ys(), keep=job.keep)
+    for _ in long_run(0, job.filters["particle"], job, job.keep, Path(tempfile.mkdtemp()) / "run"):
+        pass
     # what the process itself had; what it inherited does not count
     return int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) / 1024
 begin = peak(120)
@@ -495,12 +498,13 @@ def test_memory_does_not_grow_with_the_clip():
 @pytest.mark.night
 @pytest.mark.optimized
 def test_a_killed_command_goes_on(tmp_path):
-    """Killed once it has kept something; the same command gives the bits of one that was never killed."""
+    """Killed once it has kept something; the same command gives the bits of one that was never killed. Boxes of two sizes."""
     code = "import sys\nfrom motes.cli import long_runs, main\nlong_runs.EVERY = 0.0\nsys.exit(main.main(sys.argv[1:]))"
+    boxes = ("--box", "30,40,44,36", "--box", "100,60,150,125")
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
 
     def command(out):
-        words = [sys.executable, "-W", "ignore", "-c", code, "demo", "video", "--frames", "400", "--out", str(tmp_path / out)]
+        words = [sys.executable, "-W", "ignore", "-c", code, "demo", "video", "--frames", "240", *boxes, "--out", str(tmp_path / out)]
         return subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
     first = command("killed")
