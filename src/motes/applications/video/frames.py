@@ -44,8 +44,8 @@ def of_stride(y: Any, stride: int) -> Any:
     return y.get(str(stride), y)
 
 
-def steps_alone(ys: Sequence[Any], stride: int) -> Iterator[Observed]:
-    """Give what was measured with a stride, step by step as runs of one step; where nothing was, in the form of the others."""
+def steps_alone(ys: Sequence[Any], stride: int) -> Iterator[Any]:
+    """Give what was measured with a stride, `Observed` as runs of one step; where nothing was, in the form of the others."""
     form = next(of_stride(y, stride) for y in ys if y is not None)
     for y in ys:
         value = form if y is None else of_stride(y, stride)

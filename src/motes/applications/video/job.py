@@ -183,8 +183,9 @@ class VideoJob(Job):
 
     def of(self, target: Target, history: History | None) -> History | None:
         """Return the history of one target."""
-        whole = history is None or len(self.targets) == 1
-        return history if whole else apart(history, target.name, target.model.names, target.look.stride)
+        if history is None or len(self.targets) == 1:
+            return history
+        return apart(history, target.name, target.model.names, target.look.stride)
 
     def each(self, history: History) -> list[tuple[Target, History]]:
         """Return all targets, each with its history."""

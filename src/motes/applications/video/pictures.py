@@ -1,6 +1,6 @@
 """Pictures of a clip in which targets were followed: a strip of some, and all of them as a clip.
 
-Each target has a colour of its own, told apart by those who do not see all colours (Okabe, Ito 2008); a box that is lost is dashed.
+Each target has a colour of its own, told apart by those who do not see all colours, too; a box that is lost is dashed.
 """
 
 from typing import Any, NamedTuple

@@ -41,7 +41,7 @@ def together(histories: Mapping[str, History], y: Any) -> History:
     least, evidence = (jnp.asarray(sums([getattr(one.info, name) for one in each], axis=0))
                        for name, sums in (("ess", np.min), ("log_evidence", np.sum)))  # fmt: skip
     info = replace(info, ess=least, log_evidence=evidence)
-    total = RunningSum(*(sum(getattr(one.last.evidence, part) for one in each) for part in ("total", "missed")))
+    total = RunningSum(*(jnp.asarray(np.sum([getattr(one.last.evidence, part) for one in each])) for part in ("total", "missed")))
     last = Carry(ends, total, max(one.last.suspicion for one in each), Observed(y, each[0].last.y.there), None, each[0].last.step)
     names = tuple(f"{state}_{name}" for name, one in histories.items() for state in one.names)
     return replace(each[0], kept={"mean": jnp.asarray(mean), "cov": jnp.asarray(cov), OWN: own}, info=info, last=last, names=names)
