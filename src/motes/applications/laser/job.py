@@ -25,6 +25,8 @@ from motes.filters.recovering import Recovering
 MAP, SCANS = "map.yaml", "scans.csv"
 SIZES, CELLS = (2_000, 10_000, 50_000), (0.5, 0.5, 0.2)
 """Numbers of particles, by how many cells of so many meters and radians they lie in."""
+FAST = 0.3
+"""Share of the present evidence in its fast mean: a scan tells much."""
 
 
 def load(settings: Settings, seed: int) -> "LaserJob":
@@ -42,7 +44,7 @@ def load(settings: Settings, seed: int) -> "LaserJob":
         grid, scans = driven(seed, settings.seconds, settings.kidnap, settings.outliers)
     inputs = {"forward": jnp.asarray(scans.forward, float), "turn": jnp.asarray(scans.turn, float)}
     field, poses = LikelihoodField.of(grid), poses_of(grid)
-    recovering = Recovering(ParticleFilter(n=SIZES[-1], on_collapse="predict"), seeking(field, poses), usual=usual)
+    recovering = Recovering(ParticleFilter(n=SIZES[-1], on_collapse="predict"), seeking(field, poses), fast=FAST, usual=usual)
     return LaserJob(
         model=laser_model(field, poses), ys=jnp.asarray(scans.ranges, float), inputs=inputs, truth=scans.poses,
         times=scans.times, filters={"recovering": AdaptiveSize(recovering, SIZES, CELLS)},

@@ -28,6 +28,8 @@ DENSE, FEWEST, MOST = 100, 50_000, 500_000
 """Poses that stand for a start anywhere: so many for each square meter, but no fewer and no more than that."""
 WIDE, APART = 0.5, (0.2, 0.2, 0.07)
 """Where a robot is sought among these poses: standard deviation of where a beam ends, m, and how far a pose may be off, m, m, radians."""
+SHARPER = 0.8
+"""Of that so much is left with each step after the start: poses that lie so far apart would be judged by chance."""
 
 
 def drive(x: jax.Array, u: Any, t: Any) -> jax.Array:
@@ -38,7 +40,13 @@ def drive(x: jax.Array, u: Any, t: Any) -> jax.Array:
 def slip(x: jax.Array, u: Any, t: Any) -> jax.Array:
     """Covariance of the noise of a step."""
     place = 0.05**2 * jnp.abs(u["forward"]) + 0.01**2
-    return jnp.diag(jnp.stack([place, place, 0.01**2 + 0.05**2 * jnp.abs(u["turn"])]))
+    own = jnp.stack([place, place, 0.01**2 + 0.05**2 * jnp.abs(u["turn"])])
+    return jnp.diag(own + SHARPER**t * jnp.square(jnp.asarray(APART)))
+
+
+def hit_sd(t: Any) -> jax.Array:
+    """Standard deviation of where a beam of a step ends, meters: less and less after the start."""
+    return jnp.sqrt(HIT_SD**2 + SHARPER**t * (WIDE**2 - HIT_SD**2))
 
 
 @record
@@ -64,7 +72,7 @@ class LikelihoodField:
         rim = jnp.asarray(np.pad(apart, 1, constant_values=FAR), float)
         return cls(rim, jnp.asarray(np.pad(grid.free, 1)), grid.resolution, grid.origin)
 
-    def log_prob(self, y: jax.Array, x: jax.Array, sd: float = HIT_SD) -> jax.Array:
+    def log_prob(self, y: jax.Array, x: jax.Array, sd: Any) -> jax.Array:
         """Log density of ranges `(beams,)`, NaN where nothing came back, from a pose, where a beam ends within so many meters."""
         course = x[2] + 2 * jnp.pi / len(y) * jnp.arange(len(y))
         reach = jnp.where(jnp.isnan(y), 0, y)
@@ -81,7 +89,7 @@ class LikelihoodField:
 
 def usual(y: jax.Array, u: Any, t: Any) -> jax.Array:
     """Return the log density that a scan has on the average from where the robot is, by the model."""
-    hit = np.log(SURE / (HIT_SD * np.sqrt(2 * np.pi))) - 0.5
+    hit = jnp.log(SURE / (hit_sd(t) * np.sqrt(2 * np.pi))) - 0.5
     return SHARED * (SURE * hit + (1 - SURE) * np.log((1 - SURE) / FAR)) * jnp.sum(~jnp.isnan(y))
 
 
@@ -97,7 +105,7 @@ def poses_of(grid: Grid) -> np.ndarray:
 
 def laser_model(field: LikelihoodField, poses: np.ndarray) -> StateSpaceModel:
     """Build the model of a robot that may start at any of some poses `(3, m)`; measurements are ranges `(beams,)`, NaN for none."""
-    sensor = Custom(None, lambda y, x, u, t: field.log_prob(y, x), partial=True)
+    sensor = Custom(None, lambda y, x, u, t: field.log_prob(y, x, hit_sd(t)), partial=True)
     return StateSpaceModel(Cloud.equal(jnp.asarray(poses, float)), AdditiveGaussian(drive, slip, angles=(2,)), sensor, STATES)
 
 
