@@ -96,7 +96,7 @@ class Recovering(Wrapper):
         missing = is_nothing(y)
         evidence = jax.lax.stop_gradient(jnp.where(info.collapsed | jnp.isnan(info.log_evidence), -jnp.inf, info.log_evidence))
         if self.usual is not None:
-            evidence -= self._expected(value_of(y), u, t, evidence.dtype)
+            evidence -= _expected(self.usual, value_of(y), u, t).astype(evidence.dtype)
         slow, fast = (jnp.where(missing, mean, _running_mean(mean, evidence, share))
                       for mean, share in zip(before.beside, (self.slow, self.fast), strict=True))  # fmt: skip
         known = jnp.isfinite(slow)
@@ -116,19 +116,20 @@ class Recovering(Wrapper):
         size = jnp.where(share > 0, logspace.effective_size(cloud.log_weights), info.ess)
         return Carried(with_cloud(law, cloud), (slow, fast)), replace(info, recovered=share, ess=size)
 
-    def _expected(self, y: Any, u: Any, t: Any, dtype: Any) -> jax.Array:
-        """Return what the user's function expects of a measurement."""
-        told = jnp.asarray(called("Recovering usual(y, u, t)", self.usual, y, u, t))
-        if told.shape:
-            checks.refuse("Recovering usual", "one number", f"shape {told.shape}")
-        return told.astype(dtype)
-
     def _drawn(self, key: jax.Array, y: Any, u: Any, t: Any, particles: jax.Array) -> jax.Array:
         """Draw a state of the user's function."""
         drawn = called("Recovering fresh(key, y, u, t)", self.fresh, key, y, u, t)
         if jnp.shape(drawn) != particles.shape[:1]:
             checks.refuse("Recovering fresh", f"a state {particles.shape[:1]}", f"shape {jnp.shape(drawn)}")
         return jnp.asarray(drawn).astype(particles.dtype)
+
+
+def _expected(usual: Callable[..., Any], y: Any, u: Any, t: Any) -> jax.Array:
+    """Return the log evidence that the user's function expects of a measurement."""
+    told = jnp.asarray(called("Recovering usual(y, u, t)", usual, y, u, t))
+    if told.shape:
+        checks.refuse("Recovering usual", "one number", f"shape {told.shape}")
+    return told
 
 
 def _running_mean(log_mean: jax.Array, log_value: jax.Array, share: float) -> jax.Array:

@@ -12,8 +12,10 @@ from motes.plotting.animation import Animation, moments
 from motes.plotting.figures import COLORS, ESTIMATE, INERTIAL, TRUE, legend_below, new_figure, tidy, two_sigma
 
 PICTURES = 80
-EARLY = 3
+EARLY = 2
 """Small maps of moments at which the robot may be at several places."""
+APART = 1.0
+"""Meters: a law with a smaller standard deviation of the place is one place, whatever its shape."""
 PLACES, LEAST = 8, 0.05
 """Most clusters of a moment, and the share below which one is not drawn."""
 
@@ -24,25 +26,24 @@ def building_figure(history: History, job: Any) -> Any:
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    knows = job.truth is not None
-    found = places(history)
-    several = np.flatnonzero(_count(found) > 1)
-    early = several[np.linspace(0, len(several) - 1, min(EARLY, len(several))).astype(int)]
-    rows = [*([[f"early {i}" for i in range(len(early))]] if len(early) else []), ["map"] * max(len(early), 1)]
-    heights = [*([1.4] if len(early) else []), 4]
+    knows, wide = job.truth is not None, _wide(history)
+    several = np.flatnonzero(wide)
+    early = several[[0, -1]][: min(EARLY, len(several))]
+    columns = max(len(early), 1)
+    rows, heights = [["map"] * columns], [3.9]
+    if len(early):
+        rows, heights = [[f"early {i}" for i in range(columns)], *rows], [4.2 / columns, *heights]
     if knows:
-        rows, heights = [*rows, ["error"] * max(len(early), 1)], [*heights, 1.2]
-    figure = new_figure(9, 1.6 * sum(heights))
+        rows, heights = [*rows, ["error"] * columns], [*heights, 1.2]
+    figure = new_figure(7, sum(heights) + 1.2)
     axes = figure.subplot_mosaic(rows, height_ratios=heights)
     for i, step in enumerate(early):
         small = axes[f"early {i}"]
-        _draw(small, history, job, found, int(step), 2)
-        small.set(title=f"{job.times[step]:.0f} s", xlabel="", ylabel="", xticks=[], yticks=[])
-    last = len(job.times) - 1
-    way = np.where((_count(found) == 1)[:, None], np.asarray(history.mean)[:, :2], np.nan)
-    axes["map"].plot(*way.T, color=ESTIMATE, linewidth=1.0, zorder=3, label="estimated way, where it is one place")
-    _draw(axes["map"], history, job, found, last, 3)
-    axes["map"].set_title(f"{job.times[last]:.0f} s")
+        _draw(small, history, job, int(step))
+        small.set(xlabel="", ylabel="", xticks=[], yticks=[])
+    way = np.where(wide[:, None], np.nan, np.asarray(history.mean)[:, :2])
+    axes["map"].plot(*way.T, color=ESTIMATE, linewidth=1.0, zorder=3, label="estimated way")
+    _draw(axes["map"], history, job, len(job.times) - 1)
     if knows:
         tidy(axes["error"])
         axes["error"].plot(job.times, job.errors(history), color=ESTIMATE, linewidth=1.0)
@@ -53,35 +54,30 @@ def building_figure(history: History, job: Any) -> Any:
 
 def building_animation(history: History, job: Any) -> Animation:
     """Return the particles in motion; most pictures are of the beginning."""
-    shown, found = moments(len(job.times), PICTURES), places(history)
+    shown = moments(len(job.times), PICTURES)
 
     def draw(number: int) -> Any:
-        figure = new_figure(8, 5.6)
+        figure = new_figure(6.4, 5)
         axes = figure.add_subplot()
-        step = int(shown[number])
-        _draw(axes, history, job, found, step, 3)
-        axes.set_title(f"{job.times[step]:.0f} s")
-        legend_below(figure, axes, 4)
+        _draw(axes, history, job, int(shown[number]))
+        legend_below(figure, axes, 3)
         return figure
 
     return Animation(draw, len(shown))
 
 
-def places(history: History) -> Clusters:
-    """Return the clusters of the particles that were kept, by place alone, time axis first; one of a law without particles."""
-    if "cloud" not in history.kept:
-        mean, cov = np.asarray(history.mean)[:, None, :2], np.asarray(history.cov)[:, None, :2, :2]
-        return Clusters(mean, cov, np.ones(mean.shape[:2]))  # type: ignore[arg-type]
-    cloud = jnp.asarray(history.kept["cloud"])[:, :2]
-    even = jnp.full(cloud.shape[2], -np.log(cloud.shape[2]), cloud.dtype)
-    return Clusters(*(np.asarray(one) for one in jax.lax.map(lambda points: clusters(points, even, PLACES), cloud)))
+def _wide(history: History) -> np.ndarray:
+    """Whether the robot may be at places that lie apart, at each step."""
+    return np.einsum("tii->t", np.asarray(history.cov, np.float64)[:, :2, :2]) > APART**2
 
 
-def _count(found: Clusters) -> np.ndarray:
-    return (found.weight >= LEAST).sum(axis=-1)
+@jax.jit
+def _clusters_of(points: jax.Array) -> Clusters:
+    """Clusters of particles `(2, n)` of equal weights."""
+    return clusters(points, jnp.full(points.shape[1], -jnp.log(points.shape[1]), points.dtype), PLACES)
 
 
-def _draw(axes: Any, history: History, job: Any, found: Clusters, step: int, size: float) -> None:
+def _draw(axes: Any, history: History, job: Any, step: int) -> None:
     grid, (x, y) = job.grid, job.grid.origin
     rows, columns = grid.occupied.shape
     shades = np.where(grid.occupied, 0.25, np.where(grid.free, 1.0, 0.85))
@@ -91,17 +87,20 @@ def _draw(axes: Any, history: History, job: Any, found: Clusters, step: int, siz
         # a line across the jump of a kidnapping would be no way
         way = np.array(job.truth[: step + 1, :2])
         way[1:][np.hypot(*np.diff(way, axis=0).T) > 1.5] = np.nan
-        axes.plot(*way.T, color=TRUE, linewidth=0.6 * size, label="true way")
-        axes.plot(*job.truth[step, :2], "o", markerfacecolor="none", color=TRUE, markersize=4 * size, label="truth")
+        axes.plot(*way.T, color=TRUE, linewidth=1.8, label="true way")
+        axes.plot(*job.truth[step, :2], "o", markerfacecolor="none", color=TRUE, markersize=11, label="truth")
     if "cloud" in history.kept:
-        axes.plot(*np.asarray(history.kept["cloud"])[step, :2], ".", color=COLORS[5], markersize=size, label="particle")
-    there = np.flatnonzero(found.weight[step] >= LEAST)
-    if len(there) == 1:
-        axes.plot(*np.asarray(history.mean)[step, :2], "o", color=ESTIMATE, markersize=2.5 * size, label="estimate")
-    for one in there if len(there) > 1 else ():
-        place = found.mean[step, one]
-        two_sigma(axes, place, found.cov[step, one], edgecolor=INERTIAL, linewidth=0.5 * size)
-        share = f"{100 * found.weight[step, one]:.0f} %"
-        axes.text(*place, share, color=INERTIAL, fontsize=2 + 2 * size, ha="center", va="center", zorder=5)
-    axes.plot([], [], color=INERTIAL, linewidth=0.5 * size, label="one of several places, and its share")
-    axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
+        axes.plot(*np.asarray(history.kept["cloud"])[step, :2], ".", color=COLORS[5], markersize=3, label="particle")
+    apart = _wide(history)[step] and "cloud" in history.kept
+    estimate = ([], []) if apart else np.asarray(history.mean)[step, :2]
+    axes.plot(*estimate, "o", color=ESTIMATE, markersize=7, label="estimate")
+    if apart:
+        found = _clusters_of(jnp.asarray(history.kept["cloud"][step, :2]))
+        for place, cov, share in zip(*(np.asarray(part) for part in found), strict=True):
+            if share >= LEAST:
+                two_sigma(axes, place, cov, edgecolor=INERTIAL, linewidth=1.4)
+                top = place + [0, 2 * np.sqrt(cov[1, 1])]
+                axes.text(*top, f"{100 * share:.0f} %", color=INERTIAL, ha="center", va="bottom", zorder=5, clip_on=True,
+                          bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1})  # fmt: skip
+    axes.plot([], [], color=INERTIAL, linewidth=1.4, label="place, with its share")
+    axes.set(xlabel="x, m", ylabel="y, m", aspect="equal", xlim=extent[:2], ylim=extent[2:], title=f"{job.times[step]:.1f} s")

@@ -36,7 +36,7 @@ def simulated(seed: int, seconds: float = 600.0) -> RangeOnlyRecording:
     moving = times[1:] > 5.0
     forward = np.where(moving, SPEED * STEP, 0.0)
     start = np.array([0.0, 0.0, generator.uniform(-np.pi, np.pi)])
-    turns = _turns(start, times[1:], forward)
+    turns = _loops(start, times[1:], forward)
     place = dead_reckoning(start, forward, turns)
     heading = start[2] + np.concatenate([[0.0], np.cumsum(turns)])
     slipped = forward * (1 + SLIP * generator.normal(size=steps))
@@ -51,7 +51,7 @@ def simulated(seed: int, seconds: float = 600.0) -> RangeOnlyRecording:
     return RangeOnlyRecording(np.column_stack([times, place, heading]), read, drifting, log, BEACONS.copy(), "a made-up recording")
 
 
-def _turns(start: np.ndarray, times: np.ndarray, forward: np.ndarray) -> np.ndarray:
+def _loops(start: np.ndarray, times: np.ndarray, forward: np.ndarray) -> np.ndarray:
     """Turns of the steps that end at some times `(t,)`: loops of changing width, and back where they lead away from the beacons."""
     bends = 0.08 + 0.06 * np.sin(times / 17.0) + 0.05 * np.cos(times / 41.0)
     middle, place, heading, turns = BEACONS[:, 1:].mean(axis=0) @ [1, 1j], start[:2] @ [1, 1j], start[2], np.zeros(len(times))
