@@ -10,7 +10,7 @@ STEP, SPEED = 0.2, 1.0
 """Seconds and meters per second."""
 BEACONS = np.array([[1.0, -20.0, -5.0], [2.0, 22.0, -8.0], [3.0, 18.0, 25.0], [4.0, -16.0, 24.0]])
 """Id and place."""
-INSIDE, TIGHT = 20.0, 0.2
+INSIDE, TIGHT = 25.0, 0.2
 """Meters from the middle of the beacons beyond which the robot turns back, by so many radians of a meter at most."""
 LONG, DELAY, RANGE_SD = 0.07, 0.1, 0.5
 """By how much ranges are too long, as a share and in meters, and their standard deviation."""
@@ -53,7 +53,7 @@ def simulated(seed: int, seconds: float = 600.0) -> RangeOnlyRecording:
 
 def _loops(start: np.ndarray, times: np.ndarray, forward: np.ndarray) -> np.ndarray:
     """Turns of the steps that end at some times `(t,)`: loops of changing width, and back where they lead away from the beacons."""
-    bends = 0.08 + 0.06 * np.sin(times / 17.0) + 0.05 * np.cos(times / 41.0)
+    bends = 0.03 + 0.06 * np.sin(times / 17.0) + 0.05 * np.cos(times / 41.0)
     middle, place, heading, turns = BEACONS[:, 1:].mean(axis=0) @ [1, 1j], start[:2] @ [1, 1j], start[2], np.zeros(len(times))
     for step, (bend, length) in enumerate(zip(bends, forward, strict=True)):
         if abs(place - middle) > INSIDE:
