@@ -14,6 +14,9 @@ from pathlib import Path
 PEERS = {"particles": "apart", "smcx": "", "cuthbert": "", "filterpy": "", "dynamax": "", "stonesoup": "", "blackjax": "", "emcee": ""}
 """Name in the registry, and the environment of its own that it needs, if any: with NumPy 2 one would get an old `particles`."""
 
+OTHERS = ("opencv-contrib-python-headless",)
+"""Installed beside us, too, for the scripts that stand apart: they go without one that cannot be installed."""
+
 TOGETHER = ("jax>=0.10", "numpy>=2")
 """What a peer beside us must leave as it is."""
 
@@ -42,9 +45,11 @@ def install(python, *wanted):
 def main(folder):
     together = created(folder, sys.executable)
     root = Path(__file__).parents[1]
-    failed = install(together, "-e", str(root), "matplotlib")
+    failed = install(together, "-e", f"{root}[video]", "matplotlib")
     if failed:
         sys.exit(failed)
+    for name in OTHERS:
+        print(f"installing {name}", install(together, name, *TOGETHER) or "", file=sys.stderr)
     found = {}
     for name, place in PEERS.items():
         print(f"installing {name}", file=sys.stderr)

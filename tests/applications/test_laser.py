@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ import motes as mo
 from data import refused
 from motes.applications.laser.grid import read_grid, write_grid
 from motes.applications.laser.job import load
+from motes.applications.laser.model import LikelihoodField, hit_sd, poses_of, seeking, usual
 from motes.applications.laser.scans import read_scans, write_scans
 from motes.applications.laser.settings import Settings
 from motes.applications.laser.world import building, driven
@@ -79,21 +81,53 @@ def test_it_is_shown_and_runs_again_from_its_files(tmp_path, monkeypatch):
     assert np.array_equal(one, other)
 
 
-def run(seed, **settings):
-    job = load(Settings(kidnap=100.0, **settings), seed)
+def test_a_place_is_sought_by_scans():
+    """Uniform poses would be so near two times in 10 000; along the corridor much looks alike."""
+    grid, scans = driven(0, 60.0, 0.0, 0.0)
+    draw, keys = seeking(LikelihoodField.of(grid, scans.bearings), poses_of(grid)), jax.random.split(jax.random.key(0), 500)
+    sought = jax.jit(lambda y: jax.vmap(lambda key: draw(key, y, None, 0))(keys))
+    off = np.stack([np.asarray(sought(scans.ranges[step])) - scans.poses[step] for step in range(20, 120, 20)])
+    near = (np.hypot(off[..., 0], off[..., 1]) < 0.7) & (np.abs(np.angle(np.exp(1j * off[..., 2]))) < 0.2)
+    assert near.mean() > 0.02
+
+
+def test_a_scan_from_where_the_robot_is_has_the_usual_density_and_no_other():
+    grid, scans = driven(1, 60.0, 0.0, 0.1)
+    field, late = LikelihoodField.of(grid, scans.bearings), 100
+    beyond = jax.jit(jax.vmap(lambda y, x: field.log_prob(y, x, hit_sd(late)) - usual(y, None, late)))
+    assert np.mean(beyond(scans.ranges, scans.poses)) > 0
+    assert np.median(beyond(scans.ranges, scans.poses[::-1])) < -3
+
+
+def scored(job, seed):
+    """Seconds until the robot is found, and the error from then on; the same after a kidnapping."""
+    jax.clear_caches()
     return [score.value for score in job.scores(mo.run(seed, job.filters["recovering"], job.model, job.ys, job.inputs))]
 
 
 @pytest.mark.optimized
 @pytest.mark.night
-def test_a_start_anywhere_is_found_and_a_kidnapping_survived():
-    found = [run(seed) for seed in range(20)]
-    assert sum(one[0] is not None for one in found) >= 19, found
-    assert sum(one[2] is not None for one in found) >= 18, found
+@pytest.mark.parametrize("first", [0, 100])
+def test_a_start_anywhere_is_found_and_a_kidnapping_survived(first):
+    found = [scored(load(Settings(kidnap=100.0), seed), seed) for seed in range(first, first + 20)]
+    for seconds, error in ((0, 1), (2, 3)):
+        assert sum(one[seconds] is not None and one[seconds] <= 30 and one[error] <= 0.5 for one in found) >= 19, found
+
+
+def found_by_files(folder, seed, outliers):
+    """Seconds until the robot is found on a map and a recording of its own, and the error from then on."""
+    grid, scans = driven(seed, 100.0, 0.0, outliers)
+    write_grid(folder / "map.yaml", grid)
+    write_scans(folder / "scans.csv", scans)
+    return scored(load(Settings(map=str(folder / "map.yaml"), data=str(folder / "scans.csv")), seed), seed)
 
 
 @pytest.mark.optimized
 @pytest.mark.night
-def test_outliers_cost_little():
-    clean, wrong = (np.median([run(seed, outliers=share)[1] for seed in (0, 2, 3, 4, 7)]) for share in (0.0, 0.1))
-    assert wrong <= 1.3 * clean
+def test_outliers_in_a_recording_cost_little(tmp_path):
+    """Of 20 recordings with a tenth of the beams wrong, 19 are found, and the error is at most 1.3 times that without."""
+    clean, wrong = (np.array([found_by_files(tmp_path, seed, share) for seed in range(20)], float) for share in (0.0, 0.1))
+    both = ~np.isnan(clean[:, 1]) & ~np.isnan(wrong[:, 1])
+    assert both.sum() >= 19, (clean, wrong)
+    rms = [np.sqrt(np.mean(one[both, 1] ** 2)) for one in (clean, wrong)]
+    assert rms[1] <= 1.3 * rms[0], (clean, wrong)

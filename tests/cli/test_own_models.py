@@ -9,7 +9,7 @@ from test_cli import refused
 
 import motes as mo
 from motes.cli.main import main
-from motes.cli.records import build, flags_of, kinds, merged
+from motes.cli.records import build, flags_of, kinds, merged, with_size
 from motes.filters.interface import Filter
 
 MODEL = '''"""My model."""
@@ -259,3 +259,9 @@ def test_flags_are_taken_apart():
     assert found == {"filter": {"kind": "particle", "n": 20, "linear": ["vx", "vy"]}} and rest == ["--seed", "1", "--out", "x"]
     assert merged({"kind": "particle", "n": 3}, {"n": 5}) == {"kind": "particle", "n": 5}
     assert merged({"kind": "particle", "n": 3}, {"kind": "kalman"}) == {"kind": "kalman"}
+
+
+def test_the_number_of_particles_reaches_filters_inside_of_others():
+    inner = mo.Recovering(mo.ParticleFilter(n=9_000), lambda key, y, u, t: y)
+    found = with_size({"plain": inner, "sized": mo.AdaptiveSize(inner, (200, 2_000, 9_000), (1.0,))}, 3_000)
+    assert found["plain"].filter.n == 3_000 and found["sized"].sizes == (200, 2_000, 3_000)

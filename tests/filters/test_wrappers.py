@@ -45,6 +45,17 @@ def test_it_changes_nothing_while_all_is_well():
     assert np.array_equal(mo.run(1, mo.Recovering(INNER, near), WALK, calm).mean, mo.run(1, INNER, WALK, calm).mean)
 
 
+def test_a_start_that_never_was_right_is_told_by_what_is_usual():
+    """The slow mean alone begins with the evidence of the wrong place."""
+    usual = lambda y, u, t: -jnp.sum(~jnp.isnan(y)) * 0.5 * jnp.log(2 * jnp.pi * jnp.e * 0.3)  # noqa: E731
+    shifted = YS[:30] + 15.0
+    shifted[5, 0] = np.nan
+    off = {}
+    for name, filter in (("slow mean", mo.Recovering(INNER, near)), ("usual", mo.Recovering(INNER, near, usual=usual))):
+        off[name] = np.linalg.norm(np.asarray(mo.run(1, filter, WALK, shifted).mean) - XS[:30] - 15.0, axis=1)
+    assert off["usual"][20:].max() < 1.5 < 3 < off["slow mean"][15]
+
+
 def biased(memory):
     sensor = mo.AdditiveGaussian(lambda x, u, t: x + u["memory"]["bias"], 0.2 * jnp.eye(2))
     model = mo.StateSpaceModel(mo.Gaussian(jnp.zeros(2), 0.01 * jnp.eye(2)), mo.LinearGaussian(0.5 * jnp.eye(2), 0.05 * jnp.eye(2)), sensor)
@@ -116,6 +127,8 @@ def learned_by(memory, learn):
     (lambda: mo.Recovering(INNER, 3), "Recovering fresh: expected a function"),
     (lambda: mo.Recovering(INNER, near, slow=0.2), "Recovering slow, fast: expected 0 < slow < fast"),
     (lambda: mo.Recovering(INNER, near, margin=0.5), "Recovering margin: expected a number of at least 1"),
+    (lambda: mo.Recovering(INNER, near, usual=3), "Recovering usual: expected a function"),
+    (lambda: mo.run(0, mo.Recovering(INNER, near, usual=lambda y, u, t: y), WALK, YS[:3]), "Recovering usual: expected one number"),
     (lambda: mo.Adapting(INNER, 0.0, None), "Adapting learn: expected a function"),
     (lambda: mo.run(0, mo.Recovering(mo.KalmanFilter(), near), WALK, YS[:3]), "Recovering filter: expected one whose law is a Cloud"),
     (lambda: mo.Recovering(INNER, near, slow="a"), "Recovering slow: expected a number above 0"),

@@ -18,7 +18,7 @@ from motes.filters import keep as keeping
 from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
-from motes.filters.run import run_in_chunks
+from motes.filters.run import run, run_in_chunks
 from motes.io.result_table import Table
 from motes.laws.circular import wrap
 from motes.models.interface import Model
@@ -84,6 +84,18 @@ class Job:
     def news(self, pieces: Sequence[History]) -> Sequence[str]:
         """Return what is to be said at once of the last of the pieces that a run has done so far; nothing by default."""
         return ()
+
+    def piece(self, seed: int, filter: Filter, ys: Any, keep: Keep, after: History | None) -> History:
+        """Run a filter over a piece of measurements that do not fit into memory, from where the piece before ended."""
+        return run(seed, filter, self.model, ys, None, keep, after)
+
+    def simulated(self) -> Model:
+        """Return the model from which plans and studies draw measurements; of one that is not to be planned, refuse in one line."""
+        return self.model
+
+    def told(self) -> str:
+        """Return what tells its runs from others of the same filter and measurements, so that a killed one goes on from its own alone."""
+        return ""
 
     def about(self) -> str:
         """Return what is to be said before filters run; "" for nothing."""

@@ -1,6 +1,6 @@
 """Runs over measurements that do not fit into memory: piece by piece, and kept on disk while they last, so that a killed one goes on.
 
-What is kept of a run has a name that tells filter, seed and measurements, so that another run never goes on from it.
+What is kept of a run has a name that tells filter, seed, measurements and what the job says of itself: another never goes on from it.
 """
 
 import hashlib
@@ -13,12 +13,12 @@ import jax
 
 from motes.applications.interface import Job
 from motes.cli.interruption import keeps
+from motes.core.memory import give_back
 from motes.core.record import replace
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
 from motes.filters.pieces import gathered
-from motes.filters.run import run
 from motes.io.files import label
 
 EVERY = 5.0
@@ -41,7 +41,7 @@ def long_run(seed: int, filter: Filter, job: Job, keep: Keep, path: Path) -> Ite
     Raises:
         MotesError: what `run` raises, and a file that cannot be read or written.
     """
-    told = repr((seed, filter, job.ys, getattr(keep, "__name__", "")))
+    told = repr((seed, filter, job.ys, getattr(keep, "__name__", ""), job.told()))
     path = path.with_name(f".{path.name}.{hashlib.sha256(told.encode()).hexdigest()[:16]}{ENDING}")
     found = [History.load(path)] if path.exists() else []
     yield from found
@@ -52,8 +52,9 @@ def long_run(seed: int, filter: Filter, job: Job, keep: Keep, path: Path) -> Ite
     measurements = measurements if first is END else chain([first], measurements)
     since = time.monotonic()
     for piece, _ in gathered(job.model, measurements, None):
-        part = run(seed, filter, job.model, piece, None, keep, found[-1] if found else None)
+        part = job.piece(seed, filter, piece, keep, found[-1] if found else None)
         jax.block_until_ready(part)
+        give_back()
         yield part
         found[-1:] = [replace(one, last=None) for one in found[-1:]] + [part]
         if time.monotonic() - since > EVERY:

@@ -45,12 +45,28 @@ def from_flags(default: Settings, words: Sequence[str], command: str) -> Setting
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            found = tyro.cli(type(default), args=list(words), default=default, prog=command, config=(tyro.conf.AvoidSubcommands,))
+            args = _together(default, words)
+            found = tyro.cli(type(default), args=args, default=default, prog=command, config=(tyro.conf.AvoidSubcommands,))
     except SystemExit as leaving:
         if not leaving.code:
             raise
         refuse("options", f"those that {command} --help lists", _first_words(said.getvalue()))
     return _at_home(found)
+
+
+def _together(default: Any, words: Sequence[str]) -> list[str]:
+    """Return the words with the values of a flag that takes several and came several times at its first place."""
+    several = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(default) if type(getattr(default, field.name)) is tuple}
+    parts: list[list[str]] = [[]]
+    for word in words:
+        flag, _, value = word.partition("=")
+        if flag not in several:
+            parts[-1].append(word) if not word.startswith("--") else parts.append([word])
+            continue
+        before = next((part for part in parts if part[:1] == [flag]), None)
+        parts.append(before if before is not None else [flag])
+        parts[-1] += [value] if "=" in word else []
+    return [word for place, part in enumerate(parts) if all(part is not one for one in parts[:place]) for word in part]
 
 
 def check_seed(seed: int) -> None:

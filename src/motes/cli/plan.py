@@ -28,4 +28,4 @@ def main(words: Sequence[str]) -> None:
     job = wish.job()
     inputs = jax.tree.map(lambda leaf: leaf[: settings.steps], job.inputs)
     pilot = Pilot(steps=settings.steps, runs=settings.runs, seed=settings.seed, inputs=inputs)
-    print(plan(job.model, budget, states=settings.states or job.counted, verify=settings.verify, pilot=pilot))
+    print(plan(job.simulated(), budget, states=settings.states or job.counted, verify=settings.verify, pilot=pilot))

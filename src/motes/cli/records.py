@@ -197,10 +197,12 @@ def with_size(filters: dict[str, Any], n: int) -> dict[str, Any]:
 
 
 def _sized(one: Any, n: int) -> Any:
-    """Return a filter with n particles, or one around such a filter; the same where it has none."""
+    """Return a filter with n particles, at most so many where it chooses, or one around such a filter; the same where it has none."""
     names = {field.name for field in dataclasses.fields(one)}
     if "n" in names:
         return dataclasses.replace(one, n=n)
+    if "sizes" in names:
+        return dataclasses.replace(one, sizes=(*(size for size in one.sizes if size < n), n))
     inner = _sized(one.filter, n) if "filter" in names else None
     return one if inner is None or inner is one.filter else dataclasses.replace(one, filter=inner)
 

@@ -87,7 +87,7 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
                 progress.advance(task, steps)
                 further()
 
-            pieces = (long_run(seed, one, job, keep, Path(folder) / name) if long else
+            pieces = (long_run(seed, filters[name], job, keep, Path(folder) / name) if long else
                       job.pieces(seed, one, ys, inputs, keep, math.ceil(steps_of(ys) / CHUNKS)))  # fmt: skip
             # what is told as it comes is told once: of the filter that the pictures show
             history, seconds = _timed(pieces, advance, job.news if name == next(iter(worn)) else lambda pieces: ())

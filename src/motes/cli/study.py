@@ -45,7 +45,7 @@ def main(words: Sequence[str]) -> None:
     if there and steps > min(there):
         refuse("steps", f"at most {min(there)}, as many as there are inputs", steps)
     inputs = jax.tree.map(lambda leaf: leaf[:steps], job.inputs)
-    experiment = Experiment(job.model, filters, steps, settings.runs, settings.seed, inputs, blocks=job.blocks, lost=job.lost)
+    experiment = Experiment(job.simulated(), filters, steps, settings.runs, settings.seed, inputs, blocks=job.blocks, lost=job.lost)
     folder = running.made_folder(settings.out)
     interruption.keeps(label(folder))
     result = study(experiment, store=folder / "runs")

@@ -27,11 +27,12 @@ from motes.core.record import record, replace, static
 from motes.core.types import Inputs
 from motes.costs.flops import Costs
 from motes.costs.measure import least_seconds
+from motes.filters.data import checked_data
 from motes.filters.particle import ParticleFilter
 from motes.io import archive
 from motes.laws.cloud import Cloud
 from motes.models.simulate import simulate
-from motes.models.state_space import StateSpaceModel, as_state_space
+from motes.models.state_space import StateSpaceModel, as_state_space, at_step
 from motes.models.structure import structure
 from motes.models.textbook import radar_tracking
 from motes.native.compile import processor
@@ -154,12 +155,13 @@ def _operations(model: StateSpaceModel, inputs: Inputs) -> dict[str, list[Operat
     """Return what is timed for each of `PARTS`."""
     most, dtype, key = max(PARTICLES), model.dtype, random.as_key(0)
     _, ys = simulate(key, model, 1, jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], inputs))
+    y = at_step(checked_data(model, ys, None)[0], 0)
     particles = model.initial.sample(random.child(key, random.INITIAL), most)
     log_weights = jax.nn.log_softmax(random.normal(random.child(key, random.NOISE), (1, most), dtype)[0])
 
     def weigh(particles: jax.Array, log_weights: jax.Array) -> Any:
         cloud = replace(Cloud.equal(particles), log_weights=log_weights)
-        return ParticleFilter(n=particles.shape[-1]).correct(key, model, cloud, ys[0], inputs, jnp.int32(0))
+        return ParticleFilter(n=particles.shape[-1]).correct(key, model, cloud, y, inputs, jnp.int32(0))
 
     def choose(particles: jax.Array, log_weights: jax.Array) -> Any:
         return resample(key, Systematic(), Always(), replace(Cloud.equal(particles), log_weights=log_weights))

@@ -352,7 +352,20 @@ def joined(pieces: Sequence[History]) -> History:
     """Put the histories of consecutive parts of one run together."""
     if not pieces:
         checks.refuse("pieces", "at least one history", "none")
-    kept, info = jax.tree.map(lambda *parts: jnp.concatenate(parts), *[(piece.kept, piece.info) for piece in pieces])
-    rounding = jax.tree.map(lambda *parts: jnp.max(jnp.stack(parts), axis=0), *[piece.rounding for piece in pieces])
+    kept, info = jax.tree.map(_end_to_end, *[(piece.kept, piece.info) for piece in pieces])
+    rounding = jax.tree.map(_largest, *[piece.rounding for piece in pieces])
     times = None if any(piece.times is None for piece in pieces) else np.concatenate([piece.times for piece in pieces])
     return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start, rounding=rounding, times=times)
+
+
+def _end_to_end(*parts: Any) -> jax.Array:
+    return jnp.asarray(np.concatenate([np.asarray(part) for part in parts])) if _are_known(parts) else jnp.concatenate(parts)
+
+
+def _largest(*parts: Any) -> jax.Array:
+    return jnp.asarray(np.max([np.asarray(part) for part in parts], axis=0)) if _are_known(parts) else jnp.max(jnp.stack(parts), axis=0)
+
+
+def _are_known(parts: tuple[Any, ...]) -> bool:
+    """Whether NumPy can put arrays together: XLA would compile a program for each number of them."""
+    return checks.is_concrete(parts) and not any(jnp.issubdtype(jnp.result_type(part), jax.dtypes.extended) for part in parts)

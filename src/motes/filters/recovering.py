@@ -2,6 +2,9 @@
 
 1. The inner filter takes its step; its evidence p(y | measurements before) goes into a slow and a fast running mean.
 2. Where the fast mean falls below the slow one, a share max(0, 1 - margin fast / slow) of the particles is drawn anew; resample first.
+
+A filter that never was right has no slow mean to fall below. Where `usual` says what evidence a filter on its track would have, evidence
+counts by its ratio to that, and both means begin at 1.
 """
 
 from collections.abc import Callable
@@ -26,8 +29,8 @@ from motes.resampling.schemes import Systematic
 class Recovering(Wrapper):
     """A filter that finds its way back: after a kidnapping, a long silence or a wrong start; its state is a `Carried` cloud.
 
-    `info.recovered` is the share of the particles that were drawn anew. Models whose measurements differ in size from step to step are not
-    for it: their evidence is not comparable.
+    `info.recovered` is the share of the particles that were drawn anew. Where measurements differ in size from step to step their evidence
+    is comparable by `usual` alone.
 
     Source: Thrun, Burgard, Fox 2005, Probabilistic Robotics.
 
@@ -45,6 +48,8 @@ class Recovering(Wrapper):
         slow: share of the present evidence in the slow mean.
         fast: share of it in the fast mean.
         margin: how much lower the fast mean must be before anything is drawn; 1 is the form of the book, which draws at all times.
+        usual: `(y, u, t)` gives the log evidence that a measurement has on the average where the filter is right; None for the slow mean
+            alone, which takes the evidence of the beginning for right.
     """
 
     guide = Guide(
@@ -57,15 +62,18 @@ class Recovering(Wrapper):
     slow: float = static(default=0.002)
     fast: float = static(default=0.1)
     margin: float = static(default=3.0)
+    usual: Callable[..., Any] | None = static(default=None)
 
     def check_parameters(self) -> None:
         """Check the parameters.
 
         Raises:
-            MotesError: fresh is no function, a share does not lie between 0 and 1, slow is not below fast, or margin is below 1.
+            MotesError: fresh or usual is no function, a share does not lie between 0 and 1, slow is not below fast, or margin is below 1.
         """
         if not callable(self.fresh):
             checks.refuse("Recovering fresh", "a function (key, y, u, t) that draws a state", type(self.fresh).__name__)
+        if self.usual is not None and not callable(self.usual):
+            checks.refuse("Recovering usual", "a function (y, u, t) that gives a log evidence, or None", type(self.usual).__name__)
         for name in ("slow", "fast", "margin"):
             checks.above_zero(f"Recovering {name}", getattr(self, name))
         if not 0 < self.slow < self.fast <= 1:
@@ -79,14 +87,16 @@ class Recovering(Wrapper):
         return self.filter.traits | {"descends": False}
 
     def begun(self, key: jax.Array, model: Any, law: Any) -> Any:
-        """Begin with no evidence: logs of the slow and of the fast mean."""
-        none = jnp.full((), -jnp.inf, cloud_of("Recovering", law).log_weights.dtype)
-        return none, none
+        """Begin with no evidence, or with what is usual: logs of the slow and of the fast mean."""
+        first = jnp.full((), -jnp.inf if self.usual is None else 0, cloud_of("Recovering", law).log_weights.dtype)
+        return first, first
 
     def after(self, key: jax.Array, before: Carried, law: Any, info: Info, y: Any, u: Any, t: Any) -> tuple[Carried, Info]:
         """Draw particles anew where the evidence has fallen."""
         missing = is_nothing(y)
         evidence = jax.lax.stop_gradient(jnp.where(info.collapsed | jnp.isnan(info.log_evidence), -jnp.inf, info.log_evidence))
+        if self.usual is not None:
+            evidence -= _expected(self.usual, value_of(y), u, t).astype(evidence.dtype)
         slow, fast = (jnp.where(missing, mean, _running_mean(mean, evidence, share))
                       for mean, share in zip(before.beside, (self.slow, self.fast), strict=True))  # fmt: skip
         known = jnp.isfinite(slow)
@@ -106,13 +116,20 @@ class Recovering(Wrapper):
         size = jnp.where(share > 0, logspace.effective_size(cloud.log_weights), info.ess)
         return Carried(with_cloud(law, cloud), (slow, fast)), replace(info, recovered=share, ess=size)
 
-
     def _drawn(self, key: jax.Array, y: Any, u: Any, t: Any, particles: jax.Array) -> jax.Array:
         """Draw a state of the user's function."""
         drawn = called("Recovering fresh(key, y, u, t)", self.fresh, key, y, u, t)
         if jnp.shape(drawn) != particles.shape[:1]:
             checks.refuse("Recovering fresh", f"a state {particles.shape[:1]}", f"shape {jnp.shape(drawn)}")
         return jnp.asarray(drawn).astype(particles.dtype)
+
+
+def _expected(usual: Callable[..., Any], y: Any, u: Any, t: Any) -> jax.Array:
+    """Return the log evidence that the user's function expects of a measurement."""
+    told = jnp.asarray(called("Recovering usual(y, u, t)", usual, y, u, t))
+    if told.shape:
+        checks.refuse("Recovering usual", "one number", f"shape {told.shape}")
+    return told
 
 
 def _running_mean(log_mean: jax.Array, log_value: jax.Array, share: float) -> jax.Array:

@@ -11,6 +11,7 @@ from motes.core.types import Inputs
 from motes.costs.calibration import Calibration
 from motes.costs.flops import complexity
 from motes.costs.measure import SPAN, StepTime, least_seconds, whole_run
+from motes.filters.data import steps_of
 from motes.filters.interface import Filter
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.filters.particle import ParticleFilter
@@ -55,14 +56,14 @@ class Clock(NamedTuple):
     """
 
     model: Any
-    ys: jax.Array
+    ys: Any
     inputs: Inputs
     costs: Calibration
     progress: bool | None
 
     def seconds(self, candidate: Candidate, span: float = SPAN) -> float:
         """Measure a step of a candidate as it is, with its share of what happens once a run: to take that out, each would compile twice."""
-        return least_seconds(whole_run(candidate.filter, self.model, self.ys, self.inputs), REPEATS, span) / self.ys.shape[0]
+        return least_seconds(whole_run(candidate.filter, self.model, self.ys, self.inputs), REPEATS, span) / steps_of(self.ys)
 
     def timed(self, reached: dict[str, Candidate]) -> dict[str, Sized]:
         """Measure candidates whose number of particles is known."""

@@ -4,10 +4,20 @@ import io
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from motes.core.checks import need
 
 COLORS = 64
 """Colors of a picture; more make the file larger than they make it better."""
+
+BEGINNING = 1.5
+"""The power by which moments are denser at the beginning, where estimates change most."""
+
+
+def moments(steps: int, most: int) -> np.ndarray:
+    """Return the steps that are shown of so many: the first, the last, and at most so many in all, more of the beginning."""
+    return np.unique(np.round((steps - 1) * np.linspace(0, 1, most) ** BEGINNING).astype(int))
 
 
 class Animation:

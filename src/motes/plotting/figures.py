@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from motes.core.checks import need
 
 TRUE, ESTIMATE, INERTIAL, OTHER = "#111111", "#0072b2", "#d55e00", "#009e73"
@@ -50,6 +52,22 @@ def tidy(axes: Any) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True, color="0.9", linewidth=0.8)
     axes.set_axisbelow(True)
+
+
+def two_sigma(axes: Any, place: Any, cov: Any, **look: Any) -> None:
+    """Draw the ellipse of two standard deviations.
+
+    Args:
+        axes: to draw on.
+        place: its middle, `(2,)`, along the two axes.
+        cov: covariance there, `(2, 2)`.
+        look: such as color and linewidth.
+    """
+    variances, directions = np.linalg.eigh(cov)
+    width, height = 4 * np.sqrt(np.maximum(variances, 0))
+    angle = np.degrees(np.arctan2(directions[1, 0], directions[0, 0]))
+    patches = need("matplotlib.patches", "results")
+    axes.add_patch(patches.Ellipse(tuple(place), width, height, angle=angle, fill=False, zorder=4, **look))
 
 
 def state_panels(names: Sequence[str], wide: bool = False) -> tuple[Any, list[Any]]:

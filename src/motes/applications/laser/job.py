@@ -10,19 +10,24 @@ import numpy as np
 
 from motes.applications.interface import Job, Score, with_cloud
 from motes.applications.laser.grid import Grid, read_grid, write_grid
-from motes.applications.laser.model import anywhere, laser_model
+from motes.applications.laser.model import LikelihoodField, laser_model, poses_of, seeking, usual
 from motes.applications.laser.pictures import building_animation, building_figure
 from motes.applications.laser.scans import Scans, read_scan_topics, read_scans, write_scans
 from motes.applications.laser.settings import Settings
 from motes.applications.laser.world import driven
 from motes.applications.robot.kidnapping import found_after
 from motes.core import checks
+from motes.filters.adaptive_size import AdaptiveSize
 from motes.filters.history import History
 from motes.filters.particle import ParticleFilter
 from motes.filters.recovering import Recovering
 from motes.io.bags import is_bag
 
 MAP, SCANS = "map.yaml", "scans.csv"
+SIZES, CELLS = (2_000, 10_000, 50_000), (0.5, 0.5, 0.2)
+"""Numbers of particles, by how many cells of so many meters and radians they lie in."""
+FAST = 0.3
+"""Share of the present evidence in its fast mean: a scan tells much."""
 
 
 def load(settings: Settings, seed: int) -> "LaserJob":
@@ -40,9 +45,11 @@ def load(settings: Settings, seed: int) -> "LaserJob":
     else:
         grid, scans = driven(seed, settings.seconds, settings.kidnap, settings.outliers)
     inputs = {"forward": jnp.asarray(scans.forward, float), "turn": jnp.asarray(scans.turn, float)}
+    field, poses = LikelihoodField.of(grid, scans.bearings), poses_of(grid)
+    recovering = Recovering(ParticleFilter(n=SIZES[-1], on_collapse="predict"), seeking(field, poses), fast=FAST, usual=usual)
     return LaserJob(
-        model=laser_model(grid, scans.bearings), ys=jnp.asarray(scans.ranges, float), inputs=inputs, truth=scans.poses,
-        times=scans.times, filters={"recovering": Recovering(ParticleFilter(n=40_000, on_collapse="predict"), anywhere(grid))},
+        model=laser_model(field, poses), ys=jnp.asarray(scans.ranges, float), inputs=inputs, truth=scans.poses,
+        times=scans.times, filters={"recovering": AdaptiveSize(recovering, SIZES, CELLS)},
         keep=with_cloud, counted=("px", "py"), grid=grid, scans=scans, kidnap=0.0 if settings.data else settings.kidnap,
     )  # fmt: skip
 

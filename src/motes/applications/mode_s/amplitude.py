@@ -1,4 +1,4 @@
-"""The usual detector: magnitudes alone, as dump1090 (Sanfilippo 2012) has it: a bit is one where its first half is the stronger."""
+"""The usual detector: magnitudes alone, as the program dump1090 has it: a bit is one where its first half is the stronger."""
 
 import numpy as np
 

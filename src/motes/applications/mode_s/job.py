@@ -88,8 +88,9 @@ class ModeSJob(Job):
 
     def news(self, pieces: Sequence[History]) -> list[str]:
         """Spell the messages that the last piece completed."""
-        before = {one.sample for one in self.decoded(pieces[:-1])}
-        return [f"{one.sample / RATE:10.6f} s  {one}" for one in self.decoded(pieces) if one.sample not in before]
+        before, now = (self.decoded(some) for some in (pieces[:-1], pieces))
+        told = {one.sample for one in before}
+        return [f"{one.sample / RATE:10.6f} s  {one}" for one in now if one.sample not in told]
 
     def decoded(self, pieces: Sequence[History]) -> list[Message]:
         """Return the messages that are right of those that were gone through.

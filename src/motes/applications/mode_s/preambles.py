@@ -17,7 +17,7 @@ LONGEST = HEAD + 2 * BITS + 1
 """Samples of a preamble and a long message, and one that the last pulse may reach into."""
 SHIFTS = np.linspace(0.0, 0.85, 7)
 """Where pulses begin, in samples after the one that they are counted by."""
-TURNS = 256
+TURNS = 128
 """Frequencies that are tried."""
 LEAST = 12.0
 """Energy of the pulses below which nothing is decoded, in units of the noise's power: 4.8 dB a pulse."""
@@ -44,8 +44,8 @@ class Preambles(NamedTuple):
 
 
 def noise_power(samples: np.ndarray) -> float:
-    """Return the power of the noise a sample, from the lower quarter of the magnitudes, which messages hardly reach."""
-    return float(np.quantile(np.abs(samples), 0.25) ** 2 / np.log(4 / 3))
+    """Return the power of the noise a sample, from the median magnitude: most samples are of noise alone."""
+    return float(np.median(np.abs(samples)) ** 2 / np.log(2))
 
 
 def find(samples: np.ndarray, least_share: float) -> Preambles:

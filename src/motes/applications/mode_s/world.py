@@ -17,7 +17,7 @@ LATEST = 0.3
 and 15 dB do not do."""
 OFFSET = 60e3
 """Standard deviation of the carriers about 1 090 MHz, hertz."""
-GAP = 250
+GAP = 600
 """Samples of silence between messages, on average beyond the shortest."""
 EDGE = 0.05
 """Share of a pulse that a receiver's filter moves into each of the samples beside it."""

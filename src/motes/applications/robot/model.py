@@ -46,14 +46,20 @@ class Step(NamedTuple):
     turn: Any
 
 
+def rolled(pose: jax.Array, forward: Any, turn: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return the pose, x, y and heading, after a step of so many meters and radians, which goes by the heading of its middle."""
+    course = pose[2] + turn / 2
+    return pose[0] + forward * jnp.cos(course), pose[1] + forward * jnp.sin(course), pose[2] + turn
+
+
 def drive(x: jax.Array, u: Step, t: Any) -> jax.Array:
     """Move the robot by one step of its odometry, `(6,)`, or `(7,)` with outliers."""
-    px, py, heading, gyro_bias, scale, offset = x[:6]
-    course = heading + u.turn / 2
+    gyro_bias, scale, offset = x[3:6]
+    px, py, heading = rolled(x[:3], u.forward, u.turn)
     return jnp.array([
-        px + u.forward * jnp.cos(course),
-        py + u.forward * jnp.sin(course),
-        heading + u.turn - gyro_bias * u.dt,
+        px,
+        py,
+        heading - gyro_bias * u.dt,
         gyro_bias,
         scale,
         offset,

@@ -34,7 +34,7 @@ ANY_HEADING = 3.0
 """Radians: so wide a Gaussian is nearly even around the circle."""
 WIDE_JITTER = 0.1
 """Meters per square root of a second, until the place of an unknown start is found."""
-WANDERING = DriveNoise(slip=0.1, jitter=0.1, heading=0.01, turn=0.03, scale=1e-4)
+WANDERING = DriveNoise(slip=0.1, jitter=0.1, heading=0.01, turn=0.03, scale=1e-3)
 """Of particles that carry all six states, and may be drawn anew."""
 UNLIKELY = 5.0
 """A scale that is off by so many standard deviations of its prior is no scale of these radios."""

@@ -10,6 +10,8 @@ STEP, SPEED = 0.2, 1.0
 """Seconds and meters per second."""
 BEACONS = np.array([[1.0, -20.0, -5.0], [2.0, 22.0, -8.0], [3.0, 18.0, 25.0], [4.0, -16.0, 24.0]])
 """Id and place."""
+INSIDE, TIGHT = 25.0, 0.2
+"""Meters from the middle of the beacons beyond which the robot turns back, by so many radians of a meter at most."""
 LONG, DELAY, RANGE_SD = 0.07, 0.1, 0.5
 """By how much ranges are too long, as a share and in meters, and their standard deviation."""
 SLIP, TURN_SD, DRIFT = 0.03, 0.002, 0.0005
@@ -33,9 +35,8 @@ def simulated(seed: int, seconds: float = 600.0) -> RangeOnlyRecording:
     times = STEP * np.arange(steps + 1)
     moving = times[1:] > 5.0
     forward = np.where(moving, SPEED * STEP, 0.0)
-    # loops of changing width, about the middle of the beacons
-    turns = np.where(moving, SPEED * STEP * (0.08 + 0.06 * np.sin(times[1:] / 17.0) + 0.05 * np.cos(times[1:] / 41.0)), 0.0)
     start = np.array([0.0, 0.0, generator.uniform(-np.pi, np.pi)])
+    turns = _loops(start, times[1:], forward)
     place = dead_reckoning(start, forward, turns)
     heading = start[2] + np.concatenate([[0.0], np.cumsum(turns)])
     slipped = forward * (1 + SLIP * generator.normal(size=steps))
@@ -48,3 +49,16 @@ def simulated(seed: int, seconds: float = 600.0) -> RangeOnlyRecording:
     ranges = (1 + LONG) * np.hypot(*(seen - BEACONS[which, 1:]).T) + DELAY + RANGE_SD * generator.normal(size=count)
     log = np.column_stack([at, BEACONS[which, 0], np.maximum(ranges, 0.0)])
     return RangeOnlyRecording(np.column_stack([times, place, heading]), read, drifting, log, BEACONS.copy(), "a made-up recording")
+
+
+def _loops(start: np.ndarray, times: np.ndarray, forward: np.ndarray) -> np.ndarray:
+    """Turns of the steps that end at some times `(t,)`: loops of changing width, and back where they lead away from the beacons."""
+    bends = 0.03 + 0.06 * np.sin(times / 17.0) + 0.05 * np.cos(times / 41.0)
+    middle, place, heading, turns = BEACONS[:, 1:].mean(axis=0) @ [1, 1j], start[:2] @ [1, 1j], start[2], np.zeros(len(times))
+    for step, (bend, length) in enumerate(zip(bends, forward, strict=True)):
+        if abs(place - middle) > INSIDE:
+            bend = np.clip(np.angle((middle - place) * np.exp(-1j * heading)), -TIGHT, TIGHT)
+        turns[step] = bend * length
+        place += length * np.exp(1j * (heading + turns[step] / 2))
+        heading += turns[step]
+    return turns

@@ -6,11 +6,11 @@ import numpy as np
 
 from motes.applications.slam.job import laid_on
 from motes.filters.history import History
-from motes.plotting.animation import Animation
+from motes.plotting.animation import Animation, moments
 from motes.plotting.figures import COLORS, ESTIMATE, INERTIAL, TRUE, legend_below, new_figure, tidy
 
 PICTURES = 60
-"""Of the animation; most are of its beginning, when the map is made."""
+"""Of the animation."""
 LEAST = 0.004
 """Share below which a Gaussian of a landmark is not drawn."""
 MARGIN = 0.15
@@ -54,8 +54,7 @@ def map_figure(history: History, job: Any) -> Any:
 
 def map_animation(history: History, job: Any) -> Animation:
     """Return how the map came to be, as the best particle of each moment had it."""
-    count = len(job.way.alone)
-    moments = np.unique(np.round((count - 1) * np.linspace(0, 1, PICTURES) ** 2).astype(int))
+    shown = moments(len(job.way.alone), PICTURES)
     mean = np.asarray(history.mean, np.float64)[:, :2]
     knows = job.way.truth is not None
     laid = laid_on(job.way.truth, job.path(history)) if knows else (lambda points: points)
@@ -63,7 +62,7 @@ def map_animation(history: History, job: Any) -> Animation:
     seen = np.concatenate([laid(mean), last, *([job.way.places] if job.way.places is not None else [])])
 
     def draw(number: int) -> Any:
-        step = int(moments[number])
+        step = int(shown[number])
         figure = new_figure(6.4, 6)
         axes = figure.add_subplot()
         tidy(axes)
@@ -79,7 +78,7 @@ def map_animation(history: History, job: Any) -> Animation:
         legend_below(figure, axes, 5)
         return figure
 
-    return Animation(draw, len(moments))
+    return Animation(draw, len(shown))
 
 
 def _draw_truth(axes: Any, job: Any) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from motes.core.checks import need
 from motes.models.terrain import TerrainMap
-from motes.plotting.figures import COLORS, ESTIMATE, INERTIAL, TRUE, WORDS, legend_below, new_figure, tidy
+from motes.plotting.figures import COLORS, ESTIMATE, INERTIAL, TRUE, WORDS, legend_below, new_figure, tidy, two_sigma
 
 MARGIN = 3000.0
 """Meters of map shown around the tracks."""
@@ -51,7 +51,9 @@ def map_figure(terrain: TerrainMap, tracks: Tracks, title: str = "") -> Any:
     # the estimate usually settles soon: most ellipses belong to the beginning, where they can be seen
     last = len(tracks.covs) - 1
     for step in np.unique(np.geomspace(1, last + 1, ELLIPSES).astype(int)) - 1:
-        _ellipse(axes, float(tracks.estimate[0][step]), float(tracks.estimate[1][step]), tracks.covs[step])
+        # rows of the covariance are north, east
+        place = np.array([tracks.estimate[1][step], tracks.estimate[0][step]]) / 1e3
+        two_sigma(axes, place, np.asarray(tracks.covs[step])[::-1, ::-1] / 1e6, edgecolor=ESTIMATE, linewidth=1.1)
     axes.plot([], [], color=ESTIMATE, linewidth=1.0, label="2 sigma of the estimate")
     axes.set(aspect="equal", xlabel="east, km", ylabel="north, km", xlim=(west, east), ylim=(south, north))
     axes.set_title(title, **WORDS)
@@ -82,16 +84,6 @@ def _ground(figure: Any, axes: Any, terrain: TerrainMap) -> None:
     tint = axes.imshow(np.where(void, np.nan, heights), cmap="gist_earth", vmin=lowest - 0.35 * (highest - lowest), vmax=highest,
                        origin="lower", extent=extent, alpha=0.45)
     figure.colorbar(tint, ax=axes, label="height, m", shrink=0.7).ax.set_ylim(lowest, highest)
-
-
-def _ellipse(axes: Any, north: float, east: float, cov: np.ndarray) -> None:
-    patches = need("matplotlib.patches", "results")
-    variances, directions = np.linalg.eigh(cov)
-    width, height = 4 * np.sqrt(np.maximum(variances, 0)) / 1e3
-    # rows of the covariance are north, east; the angle is counted from east
-    angle = np.degrees(np.arctan2(directions[0, 0], directions[1, 0]))
-    look = {"fill": False, "edgecolor": ESTIMATE, "linewidth": 1.1, "zorder": 4}
-    axes.add_patch(patches.Ellipse((east / 1e3, north / 1e3), width, height, angle=angle, **look))
 
 
 def _reach(terrain: TerrainMap, tracks: list[Any], side: int) -> tuple[float, float]:

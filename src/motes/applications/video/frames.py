@@ -4,10 +4,13 @@ A measurement is a dictionary of `bins`, the colour of every so-many-th pixel as
 images of its channels, int32 `(4, h + 1, w + 1)`: sums over all pixels above and to the left. They may wrap around: so do differences.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
+
+from motes.laws.observed import Observed
 
 HUES, VALUES = 10, 10
 """Bins of hue (and as many of saturation), and of brightness for what has no colour."""
@@ -18,29 +21,49 @@ BRIGHTNESS, RED_GREEN, BLUE_YELLOW, MOTION = range(4)
 """The channels: I = (R + G + B) / 3, R - G, B - (R + G) / 2, and |I - I of the picture before|."""
 
 
-def looked_at(pictures: Iterable[np.ndarray | None], stride: int) -> Iterator[dict[str, np.ndarray] | None]:
+def looked_at(pictures: Iterable[np.ndarray | None], strides: Sequence[int]) -> Iterator[Any]:
     """Give the measurements of pictures, one by one.
 
     Args:
         pictures: RGB, uint8 `(height, width, 3)`, one after the other; None where there is none.
-        stride: of the pixels that are looked at.
+        strides: of the pixels that are looked at. For one stride the measurement itself is given, for several a dictionary of theirs.
     """
-    before: np.ndarray | None = None
+    before: dict[int, np.ndarray | None] = dict.fromkeys(strides)
     for picture in pictures:
         if picture is None:
             yield None
             continue
-        planes = np.ascontiguousarray(np.moveaxis(picture[::stride, ::stride], 2, 0))
-        red, green, blue = planes.astype(np.int16)
-        grey = (red + green + blue) // 3
-        moved = np.zeros_like(grey) if before is None else np.abs(grey - before)
-        channels = np.stack([grey, red - green, blue - (red + green) // 2, moved])
-        sums = np.zeros((len(channels), grey.shape[0] + 1, grey.shape[1] + 1), np.int32)
-        np.cumsum(channels, axis=2, dtype=np.int32, out=sums[:, 1:, 1:])
-        np.cumsum(sums, axis=1, out=sums)
-        coarse = (planes >> 3).astype(np.uint16)
-        yield {"bins": colour_table().take((coarse[0] << 10) | (coarse[1] << 5) | coarse[2]), "sums": sums}
-        before = grey
+        found = {}
+        for stride in strides:
+            found[str(stride)], before[stride] = _one_measured(picture[::stride, ::stride], before[stride])
+        yield of_stride(found, strides[0]) if len(strides) == 1 else found
+
+
+def of_stride(y: Any, stride: int) -> Any:
+    """Return what was measured with a stride."""
+    return y.get(str(stride), y)
+
+
+def steps_alone(ys: Sequence[Any], stride: int) -> Iterator[Any]:
+    """Give what was measured with a stride, `Observed` as runs of one step; where nothing was, in the form of the others."""
+    form = next(of_stride(y, stride) for y in ys if y is not None)
+    for y in ys:
+        value = form if y is None else of_stride(y, stride)
+        yield Observed({name: array[None] for name, array in value.items()}, np.array([y is not None]))
+
+
+def _one_measured(picture: np.ndarray, before: np.ndarray | None) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return the measurement of a picture, and its brightness for the next one."""
+    planes = np.ascontiguousarray(np.moveaxis(picture, 2, 0))
+    red, green, blue = planes.astype(np.int16)
+    grey = (red + green + blue) // 3
+    moved = np.zeros_like(grey) if before is None else np.abs(grey - before)
+    channels = np.stack([grey, red - green, blue - (red + green) // 2, moved])
+    sums = np.zeros((len(channels), grey.shape[0] + 1, grey.shape[1] + 1), np.int32)
+    np.cumsum(channels, axis=2, dtype=np.int32, out=sums[:, 1:, 1:])
+    np.cumsum(sums, axis=1, out=sums)
+    coarse = (planes >> 3).astype(np.uint16)
+    return {"bins": colour_table().take((coarse[0] << 10) | (coarse[1] << 5) | coarse[2]), "sums": sums}, grey
 
 
 @cache

@@ -1,8 +1,9 @@
 """The tracker of clips as an application: `motes demo video` and `motes run video`."""
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
@@ -13,35 +14,33 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.interface import Job, Score, with_cloud
-from motes.applications.video.frames import looked_at
-from motes.applications.video.learning import first_memory, learning
+from motes.applications.video.frames import looked_at, steps_alone
+from motes.applications.video.learning import first_memory
 from motes.applications.video.model import CUES, Look, followed
-from motes.applications.video.search import anywhere
 from motes.applications.video.settings import Settings
+from motes.applications.video.target import Target
+from motes.applications.video.together import apart, together
 from motes.applications.video.world import RATE, World
 from motes.core import checks, random
-from motes.filters.adapting import Adapting
-from motes.filters.history import History
+from motes.core.record import replace
+from motes.filters import notices
+from motes.filters.history import History, joined
 from motes.filters.interface import Filter
+from motes.filters.keep import Keep
 from motes.filters.particle import ParticleFilter
-from motes.filters.recovering import Recovering
+from motes.filters.run import run
 from motes.io.bags import is_bag, read_topic_clip
 from motes.io.clips import Clip, read_clip, write_clip
 from motes.io.result_table import Table
 from motes.io.tables import read_table
+from motes.models.interface import Model
 from motes.resampling.policy import Always
 
-LOST = -0.7
-"""Score of the estimate below which the target is lost."""
 SMALLEST = 8
 """Sides of the smallest box that can be followed, pixels."""
 LOOKED_AT = 60
 """Pixels of the shorter side of the box that are looked at, or twice as many at most."""
-SLOW, FAST, MARGIN = 0.02, 0.97, float(np.exp(14))
-"""Of `Recovering`: the target is sought anew where the evidence stays 14 nats below what it was for five pictures."""
-SPANS = 8
-"""Most times of which is told that the target was lost."""
-BOX = ("x", "y", "w", "h")
+BOX, FORM = ("x", "y", "w", "h"), "x,y,w,h in pixels, such as --box 317,132,165,287"
 CLIP, TRUTH = "clip.mkv", "truth.csv"
 
 
@@ -68,15 +67,31 @@ def load(settings: Settings, seed: int) -> "VideoJob":
     first = next(source.pictures(settings.frame), None)
     if first is None:
         checks.refuse("frame", "the number of a picture that can be decoded", f"{settings.frame}, of {_length(source)}")
-    box = _box(settings.box, first) if world is None or settings.box else world.boxes[settings.frame]
-    look = Look(float(box[2]), float(box[3]), max(1, int(min(box[2:]) // LOOKED_AT)), settings.cues)
-    start = jnp.array([box[0] + box[2] / 2, box[1] + box[3] / 2, 0.0], jnp.result_type(float))
-    picture = jax.tree.map(jnp.asarray, next(looked_at([first], look.stride)))
+    boxes = [world.boxes[settings.frame]] if world is not None and not settings.box else _boxes(settings.box, first)
+    if np.isnan(boxes).any():
+        checks.refuse("frame", "the number of a picture in which the target is to be seen", settings.frame)
+    names = [str(number + 1) for number in range(len(boxes))]
+    truth = _truth(settings, world, names)
+    targets = tuple(_target(settings, seed, name, box, first, truth[name]) for name, box in zip(names, boxes, strict=True))
+    strides = tuple(sorted({target.look.stride for target in targets}))
     return VideoJob(
-        model=followed(look, start), ys=Pictures(source, settings.frame, settings.frames, look.stride), keep=with_score, look=look,
-        memory=first_memory(random.as_key(seed), look, picture, start), learns=settings.learning, size=first.shape[1::-1],
-        boxes=_truth(settings, world), filters={"particle": ParticleFilter(n=200, policy=Always())}, counted=("x", "y"),
+        model=targets[0].model, ys=Pictures(source, settings.frame, settings.frames, strides), keep=with_score, targets=targets,
+        filters={"particle": ParticleFilter(n=200, policy=Always())}, counted=("x", "y"),
+        blocks={"middle": ("x", "y"), "size": ("log_size",)},
+        # a run of a study that ends farther off than the box is long
+        lost=("middle", float(np.prod(boxes[0][2:]) ** 0.5)),
     )  # fmt: skip
+
+
+def _target(settings: Settings, seed: int, name: str, box: np.ndarray, first: np.ndarray, boxes: Mapping[int, np.ndarray]) -> Target:
+    """Learn what a target looks like from the first picture."""
+    look = Look(max(1, int(min(box[2:]) // LOOKED_AT)), settings.cues)
+    kind = jnp.result_type(float)
+    start = jnp.array([*(box[:2] + box[2:] / 2), np.log(np.prod(box[2:])) / 2], kind)
+    picture = jax.tree.map(jnp.asarray, next(looked_at([first], (look.stride,))))
+    memory = first_memory(random.as_key(seed), look, picture, start, jnp.asarray(box[2] / box[3], kind))
+    return Target(name=name, model=followed(look, start), box=box, look=look, memory=memory, learns=settings.learning,
+                  first=settings.frame, size=first.shape[1::-1], boxes=boxes)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -87,18 +102,18 @@ class Pictures:
         source: where the pictures come from.
         first: number of the picture of step 0.
         count: how many there are at most; 0 for all.
-        stride: of the pixels that are looked at.
+        strides: of the pixels that are looked at; see `looked_at`.
     """
 
     source: Clip | World
     first: int
     count: int
-    stride: int
+    strides: tuple[int, ...]
 
     def __call__(self, step: int = 0) -> Iterator[Any]:
         """Give the measurements from a step on; the picture before is looked at for what moved since."""
         before, damaged = min(step, 1), 0
-        for one in islice(looked_at(self.shown(step - before), self.stride), before, None):
+        for one in islice(looked_at(self.shown(step - before), self.strides), before, None):
             if one is None:
                 damaged += 1
                 continue
@@ -119,78 +134,104 @@ def with_score(law: Any) -> dict[str, jax.Array]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VideoJob(Job):
-    """A target in a clip.
+    """One target in a clip, or several, each followed by a filter of its own as it would be alone. The model is that of the first.
 
     Attributes:
         ys: the pictures.
-        look: how they are looked at.
-        memory: what was learned from the first picture.
-        learns: whether more is learned on the way.
-        size: width and height of the pictures.
-        boxes: true boxes by the number of the picture; empty where none is known.
-        below: score of the estimate below which the target is lost.
+        targets: the targets.
     """
 
     ys: Pictures  # type: ignore[reportGeneralTypeIssues]
-    look: Look
-    memory: dict[str, jax.Array]
-    learns: bool
-    size: tuple[int, int]
-    boxes: Mapping[int, np.ndarray]
-    below: float = LOST
+    targets: tuple[Target, ...]
 
     @property
     def rate(self) -> Fraction:
         """Pictures per second."""
         return self.ys.source.rate if isinstance(self.ys.source, Clip) else RATE
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the pictures."""
+        return self.targets[0].size
+
     def worn(self, filter: Filter) -> Filter:
-        """Return a filter that learns, and seeks the target where it was lost."""
-        seeking = Recovering(filter, anywhere(self.look, *self.size), SLOW, FAST, MARGIN)
-        return Adapting(seeking, self.memory, learning(self.look, self.learns))
+        """Return a filter that learns, and seeks the target where it was lost; of the first target."""
+        return self.targets[0].worn(filter)
+
+    def piece(self, seed: int, filter: Filter, ys: Any, keep: Keep, after: History | None) -> History:
+        """Follow all targets through some pictures.
+
+        One by one: a program of one step needs less memory than one of many while it is compiled and after, and takes no longer.
+        """
+        found = {}
+        for target in self.targets:
+            before = end = self.of(target, after)
+            worn, parts = target.worn(filter), []
+            with warnings.catch_warnings():
+                # what is to be said of the piece is not said of each step
+                warnings.simplefilter("ignore", checks.MotesWarning)
+                for y in steps_alone(ys, target.look.stride):
+                    end = run(seed, worn, target.model, y, None, keep, end)
+                    parts[-1:] = [replace(one, last=None) for one in parts[-1:]] + [end]
+            found[target.name] = joined(parts)
+            notices.warn(found[target.name], before)
+        if len(found) == 1:
+            return found[self.targets[0].name]
+        if keep is not self.keep:
+            checks.refuse("smoother", "none where several targets are followed", "one")
+        values = {str(target.look.stride): found[target.name].last.y.value for target in self.targets}
+        return together(found, values if len(values) > 1 else next(iter(values.values())))
+
+    def of(self, target: Target, history: History | None) -> History | None:
+        """Return the history of one target."""
+        if history is None or len(self.targets) == 1:
+            return history
+        return apart(history, target.name, target.model.names, target.look.stride)
+
+    def each(self, history: History) -> list[tuple[Target, History]]:
+        """Return all targets, each with its history."""
+        return [(target, self.of(target, history)) for target in self.targets]  # type: ignore[misc]
+
+    def simulated(self) -> Model:
+        """Return a model that draws pictures, made from the first one.
+
+        Raises:
+            MotesError: there are several targets.
+        """
+        from motes.applications.video.cutout import cut_out
+
+        if len(self.targets) > 1:
+            checks.refuse("box", "one, to be planned or studied", len(self.targets))
+        return cut_out(self.targets[0], next(self.ys.shown()))  # type: ignore[arg-type]
+
+    def told(self) -> str:
+        """Tell what is followed, and how."""
+        return repr([(target.box.tolist(), target.look, target.learns) for target in self.targets])
 
     def about(self) -> str:
-        """Tell of clip and box."""
+        """Tell of clip and boxes."""
         width, height = self.size
-        return (f"{width} x {height} pixels, {float(self.rate):.4g} pictures a second; the target is {self.look.width:g} x "
-                f"{self.look.height:g} pixels in picture {self.ys.first}, told by {', '.join(self.look.cues)}.")  # fmt: skip
+        seen = ", ".join(f"{target.box[2]:g} x {target.box[3]:g}" for target in self.targets)
+        what = "the target is" if len(self.targets) == 1 else f"the {len(self.targets)} targets are"
+        return (f"{width} x {height} pixels, {float(self.rate):.4g} pictures a second; {what} {seen} pixels in picture {self.ys.first}, "
+                f"told by {', '.join(self.targets[0].look.cues)}.")  # fmt: skip
 
     def title(self, steps: int) -> str:
-        """Return how many pictures there were."""
-        return f"{steps} pictures"
+        """Return how many pictures and targets there were."""
+        return f"{steps} pictures" if len(self.targets) == 1 else f"{steps} pictures, {len(self.targets)} targets; means over both"
 
     def scores(self, history: History) -> tuple[Score, ...]:
         """Judge a run by the true boxes, where they are known, and by its own score."""
-        lost = Score("lost in", float(np.sum(self.is_lost(history))), "pictures", 0)
-        found = self.found(history)
-        pairs = [(found[step], self.boxes[self.ys.first + step]) for step in range(len(found)) if self.ys.first + step in self.boxes]
-        if not pairs:
+        each = self.each(history)
+        lost = Score("lost in", float(sum(np.sum(target.is_lost(own)) for target, own in each)), "pictures", 0)
+        off, shared = np.concatenate([target.errors(own) for target, own in each], axis=1)
+        if not off.size:
             return (lost,)
-        ours, true = (np.array(part) for part in zip(*pairs, strict=True))
-        off = np.hypot(*(ours[:, :2] + ours[:, 2:] / 2 - true[:, :2] - true[:, 2:] / 2).T)
-        return (Score("centre off", float(off.mean()), "pixels", 1), Score("overlap", float(overlap(ours, true).mean()), "", 3), lost)
-
-    def found(self, history: History) -> np.ndarray:
-        """Return the visible parts of the boxes that were found, `(t, 4)`: left, top, width, height in pixels."""
-        means = np.asarray(history.mean)
-        corners = self.look.stride * np.asarray(self.look.boxes(jnp.asarray(means.T))).T
-        corners = np.clip(corners, 0, np.tile(self.size, 2))
-        return np.concatenate([corners[:, :2], corners[:, 2:] - corners[:, :2]], axis=1)
-
-    def score_of(self, history: History) -> np.ndarray:
-        """Return the score of each step's estimate, `(t,)`, whatever was kept."""
-        return np.asarray(history.kept["score"] if "score" in history.kept else history.law.beside["score"])
-
-    def is_lost(self, history: History) -> np.ndarray:
-        """Tell in which pictures the target is lost, `(t,)`: by the score, or because it is sought."""
-        return (self.score_of(history) < self.below) | (np.asarray(history.info.recovered) > 0)
+        return (Score("centre off", float(off.mean()), "pixels", 1), Score("overlap", float(shared.mean()), "", 3), lost)
 
     def verdict(self, history: History) -> str:
-        """Tell where the target was lost, and whether the clip ended early."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.is_lost(history), [False]]).astype(int))).reshape(-1, 2)
-        spans = [f"{self.ys.first + begin} to {self.ys.first + end - 1}" for begin, end in edges]
-        shown = f"{', '.join(spans[:SPANS])}{' ...' if len(spans) > SPANS else ''}"
-        said = [f"Lost (score below {self.below}, or sought anew) in pictures {shown}." if spans else "Never lost."]
+        """Tell where each target was lost, and whether the clip ended early."""
+        said = [f"{f'Target {target.name}: ' if len(self.targets) > 1 else ''}{target.verdict(own)}" for target, own in self.each(history)]
         steps, source = len(np.asarray(history.ess)), self.ys.source
         asked = self.ys.count or (source.count - self.ys.first if isinstance(source, Clip) else steps)
         if steps < asked:
@@ -198,15 +239,17 @@ class VideoJob(Job):
         return " ".join(said)
 
     def tables(self, history: History) -> dict[str, Table]:
-        """Return the boxes."""
-        rows = zip(self.found(history).tolist(), self.score_of(history).tolist(), self.is_lost(history).tolist(), strict=True)
-        boxes = Table(("frame", "time", *BOX, "score", "lost"), tuple(
-            (self.ys.first + step, float((self.ys.first + step) / self.rate), *(round(side, 2) for side in box), round(score, 4), int(lost))
-            for step, (box, score, lost) in enumerate(rows)))  # fmt: skip
+        """Return the boxes, picture by picture."""
+        rows = zip(*(zip(target.found(own).tolist(), target.score_of(own).tolist(), target.is_lost(own).tolist(), strict=True)
+                     for target, own in self.each(history)), strict=True)  # fmt: skip
+        boxes = Table(("frame", "time", "target", *BOX, "score", "lost"), tuple(
+            (self.ys.first + step, float((self.ys.first + step) / self.rate), target.name, *(round(side, 2) for side in box),
+             round(score, 4), int(lost))
+            for step, row in enumerate(rows) for target, (box, score, lost) in zip(self.targets, row, strict=True)))  # fmt: skip
         return {"boxes": boxes}
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
-        """Draw a strip of pictures, and the clip with the box and the particles in it."""
+        """Draw a strip of pictures, and the clip with the boxes and the particles in it."""
         from motes.applications.video.pictures import Followed, strip
 
         history = next(iter(histories.values()))
@@ -218,43 +261,48 @@ class VideoJob(Job):
         if not isinstance(world, World):
             return settings
         write_clip(str(folder / CLIP), world.pictures(), RATE, exact=True)
-        Table(("frame", *BOX), tuple((number, *box) for number, box in self.boxes.items())).save(folder / TRUTH)
-        box = ",".join(f"{side:g}" for side in world.boxes[settings.frame])
-        return replace(settings, data=str(folder / CLIP), truth=str(folder / TRUTH), box=settings.box or box)
-
-
-def overlap(ours: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """Return the area that boxes `(t, 4)` share over the area of both, `(t,)`."""
-    low, high = np.maximum(ours[:, :2], true[:, :2]), np.minimum(ours[:, :2] + ours[:, 2:], true[:, :2] + true[:, 2:])
-    shared = np.prod(np.maximum(high - low, 0), axis=1)
-    return shared / (np.prod(ours[:, 2:], axis=1) + np.prod(true[:, 2:], axis=1) - shared)
+        true = self.targets[0].boxes.items()
+        Table(("frame", *BOX), tuple((number, *box) for number, box in true)).save(folder / TRUTH)
+        boxes = tuple(",".join(f"{side:g}" for side in target.box) for target in self.targets)
+        return replace(settings, data=str(folder / CLIP), truth=str(folder / TRUTH), box=boxes)
 
 
 def _length(source: Clip | World) -> str:
     return f"{source.count} pictures" if source.count else "a clip that ends before"
 
 
-def _box(text: str, picture: np.ndarray) -> np.ndarray:
-    """Return left, top, width and height that a user gave."""
+def _boxes(texts: tuple[str, ...], picture: np.ndarray) -> list[np.ndarray]:
+    """Return left, top, width and height of each box that a user gave."""
+    if not texts:
+        checks.refuse("box", FORM, "none")
+    return [_box("box" if len(texts) == 1 else f"box {number}", text, picture) for number, text in enumerate(texts, 1)]
+
+
+def _box(name: str, text: str, picture: np.ndarray) -> np.ndarray:
     number = r"\s*(-?\d+\.?\d*)\s*"
     given = re.fullmatch(",".join([number] * 4), text)
     if given is None:
-        checks.refuse("box", "x,y,w,h in pixels, such as --box 317,132,165,287", repr(text[:80]) if text else "none")
+        checks.refuse(name, FORM, repr(text[:80]))
     box, (height, width) = np.array([float(part) for part in given.groups()]), picture.shape[:2]
     if (box[:2] < 0).any() or box[0] + box[2] > width or box[1] + box[3] > height:
-        checks.refuse("box", f"one inside of the picture, {width} x {height} pixels", text)
+        checks.refuse(name, f"one inside of the picture, {width} x {height} pixels", text)
     if (box[2:] < SMALLEST).any():
-        checks.refuse("box", f"at least {SMALLEST} pixels wide and high", text)
+        checks.refuse(name, f"at least {SMALLEST} pixels wide and high", text)
     return box
 
 
-def _truth(settings: Settings, world: World | None) -> dict[int, np.ndarray]:
-    """Return true boxes by the number of the picture."""
+def _truth(settings: Settings, world: World | None, names: Sequence[str]) -> dict[str, dict[int, np.ndarray]]:
+    """Return true boxes by the name of the target and the number of the picture; all are of the first where no name is told."""
+    table: Any = {}
     if settings.truth:
-        table = read_table(settings.truth, ("frame", *BOX))
-        numbers, rows = table["frame"], np.stack([table[name] for name in BOX], axis=1)
+        table = read_table(settings.truth, ("frame", *BOX), ("target",))
     elif world is not None:
-        numbers, rows = np.arange(world.count), world.boxes
-    else:
-        return {}
-    return {int(number): row for number, row in zip(numbers, rows, strict=True) if not np.isnan(row).any() and number == int(number)}
+        table = {"frame": np.arange(world.count), **dict(zip(BOX, world.boxes.T, strict=True))}
+    found: dict[str, dict[int, np.ndarray]] = {name: {} for name in names}
+    if table:
+        rows = np.stack([table[name] for name in BOX], axis=1)
+        whose = table["target"] if "target" in table else [names[0]] * len(rows)
+        for name, number, row in zip(whose, table["frame"], rows, strict=True):
+            if name in found and number == int(number) and not np.isnan(row).any():
+                found[name][int(number)] = row
+    return found

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from motes.applications.video.boosting import boosted
 from motes.applications.video.colour import distance, histograms
 from motes.applications.video.features import pool, values
-from motes.applications.video.model import Look
+from motes.applications.video.model import Look, sides
 
 FIRST, LATER = (64, 160), (16, 48)
 """Boxes on the target and beside it, of the first picture and of each later one."""
@@ -35,7 +35,7 @@ BESIDE, SIZES = (0.35, 1.55), (0.65, 1.4)
 
 
 @partial(jax.jit, static_argnames="look")
-def first_memory(key: jax.Array, look: Look, y: Any, start: jax.Array) -> dict[str, jax.Array]:
+def first_memory(key: jax.Array, look: Look, y: Any, start: jax.Array, aspect: jax.Array) -> dict[str, jax.Array]:
     """Learn from the first picture.
 
     Args:
@@ -43,11 +43,13 @@ def first_memory(key: jax.Array, look: Look, y: Any, start: jax.Array) -> dict[s
         look: how it is looked at.
         y: the measurement.
         start: state of the target, `(3,)`.
+        aspect: width of the target over its height, `()`.
     """
-    found = _examples(key, look, y, start, FIRST)
+    box = {"aspect": aspect}
+    found = _examples(key, look, y, start, box, FIRST)
     later = jnp.zeros((found.shape[0], RECENT, sum(LATER)), found.dtype)
-    memory = {"first": found, "later": later, "learned": jnp.int32(0), "score": jnp.ones((), found.dtype), "seen": start,
-              **dict.fromkeys(("colour", "original", "recent"), histograms(y["bins"], look.boxes(start[:, None]))[0])}  # fmt: skip
+    memory = {"first": found, "later": later, "learned": jnp.int32(0), "score": jnp.ones((), found.dtype), "seen": start, **box,
+              **dict.fromkeys(("colour", "original", "recent"), histograms(y["bins"], look.boxes(start[:, None], box))[0])}  # fmt: skip
     memory |= _boosted(memory)
     return {**memory, "usual": look.log_likelihood(y, start[:, None], memory)[0]}
 
@@ -63,7 +65,8 @@ def learning(look: Look, learns: bool) -> Any:
         mean = law.mean()
         score = look.score(y, mean[:, None], memory)[0]
         sure = score > SURE
-        present = {"usual": look.log_likelihood(y, mean[:, None], memory)[0], "recent": histograms(y["bins"], look.boxes(mean[:, None]))[0]}
+        present = {"usual": look.log_likelihood(y, mean[:, None], memory)[0],
+                   "recent": histograms(y["bins"], look.boxes(mean[:, None], memory))[0]}  # fmt: skip
         faded = {name: memory[name] + FADING * (new - memory[name]) for name, new in present.items()}
         memory = {**memory, "score": score} | {name: jnp.where(sure, new, memory[name]) for name, new in {"seen": mean, **faded}.items()}
         if not learns:
@@ -71,7 +74,7 @@ def learning(look: Look, learns: bool) -> Any:
 
         def anew() -> dict[str, jax.Array]:
             place = memory["learned"] % RECENT
-            later = memory["later"].at[:, place].set(_examples(key, look, y, mean, LATER))
+            later = memory["later"].at[:, place].set(_examples(key, look, y, mean, memory, LATER))
             # the colours of the first picture count for as much as they are still there
             stays = 1 - distance(memory["original"], memory["recent"])
             colour = stays * memory["original"] + (1 - stays) * memory["recent"]
@@ -99,11 +102,11 @@ def _boosted(memory: dict[str, jax.Array]) -> dict[str, jax.Array]:
     return boosted(examples, target, weights.astype(examples.dtype))._asdict()
 
 
-def _examples(key: jax.Array, look: Look, y: Any, state: jax.Array, sizes: tuple[int, int]) -> jax.Array:
+def _examples(key: jax.Array, look: Look, y: Any, state: jax.Array, memory: Any, count: tuple[int, int]) -> jax.Array:
     """Return features `(150, m)` of boxes on the target, and after them of boxes beside it."""
-    near, beside = sizes
+    near, beside = count
     keys = jax.random.split(key, 4)
-    side = jnp.array([look.width, look.height]) * jnp.exp(state[2])
+    side = sides(state[2], memory)
     close = NEAR * jax.random.normal(keys[0], (3, near))
     angle = jax.random.uniform(keys[1], (beside,), maxval=2 * jnp.pi)
     far = jax.random.uniform(keys[2], (beside,), minval=BESIDE[0], maxval=BESIDE[1])
@@ -112,4 +115,4 @@ def _examples(key: jax.Array, look: Look, y: Any, state: jax.Array, sizes: tuple
     sized = jnp.log(jnp.array(SIZES))[jnp.arange(beside) // 3 % 2] * jnp.array([[0.0], [0.0], [1.0]])
     moves = jnp.concatenate([close, jnp.where(third, sized, away)], axis=1)
     scale = jnp.concatenate([side, jnp.ones(1)])
-    return values(y["sums"], look.boxes(state[:, None] + scale[:, None] * moves), pool())
+    return values(y["sums"], look.boxes(state[:, None] + scale[:, None] * moves, memory), pool())

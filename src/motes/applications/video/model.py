@@ -1,8 +1,9 @@
 """The target: where its middle is (pixels of the clip) and how large it is, told by a product of cues.
 
-Three states: x and y of the middle of the box, and the logarithm of its size beside the first one. All three walk at random, in steps that
-grow with the box. log p of a picture is the sum of -50 D^2 by colour, 10 times the score of what was learned, and 5 times the contrast of
-what moves. What was learned comes as `u["memory"]` (see `learning.py`).
+Three states: x and y of the middle of the box, and the logarithm of its size, the geometric mean of its sides in pixels. All three walk at
+random, in steps that grow with the box. log p of a picture is the sum of -50 D^2 by colour, 10 times the score of what was learned, and 5
+times the contrast of what moves. What was learned comes as `u["memory"]` (see `learning.py`), and with it what does not change of the box,
+its width over its height: so all boxes share their compiled programs.
 """
 
 from functools import cache
@@ -34,36 +35,26 @@ class Look:
     """How a picture is looked at.
 
     Attributes:
-        width: of the first box, pixels of the clip.
-        height: likewise.
         stride: of the pixels that are looked at.
         cues: those that count, of `CUES`.
     """
 
-    width: float = static()
-    height: float = static()
     stride: int = static()
     cues: tuple[str, ...] = static(default=CUES)
 
-    @property
-    def scale(self) -> float:
-        """Length of the box in pixels of the clip."""
-        return (self.width * self.height) ** 0.5
-
-    def boxes(self, X: jax.Array) -> jax.Array:
+    def boxes(self, X: jax.Array, memory: Any) -> jax.Array:
         """Return left, top, right and bottom `(4, m)` of states `(3, m)`, in pixels that are looked at."""
-        half = jnp.exp(X[2]) / 2
-        reach = jnp.stack([self.width * half, self.height * half])
+        reach = sides(X[2], memory) / 2
         return jnp.concatenate([X[:2] - reach, X[:2] + reach]) / self.stride
 
     def score(self, y: Any, X: jax.Array, memory: Any) -> jax.Array:
         """Return from -1 to 1 how much states look like what was learned, `(m,)`."""
         ensemble = Ensemble.of(memory)
-        return ensemble.score(values(y["sums"], self.boxes(X), pool().some(ensemble.chosen)))
+        return ensemble.score(values(y["sums"], self.boxes(X, memory), pool().some(ensemble.chosen)))
 
     def log_likelihood(self, y: Any, X: jax.Array, memory: Any) -> jax.Array:
         """Return the log density of a picture by all cues, but for a constant, `(m,)`."""
-        boxes, found = self.boxes(X), jnp.zeros(X.shape[1], X.dtype)
+        boxes, found = self.boxes(X, memory), jnp.zeros(X.shape[1], X.dtype)
         if "colour" in self.cues:
             found -= COLOUR * distance(histograms(y["bins"], boxes), memory["colour"])
         if "learned" in self.cues:
@@ -73,9 +64,14 @@ class Look:
         return found
 
 
+def sides(log_size: jax.Array, memory: Any) -> jax.Array:
+    """Return width and height of boxes in pixels of the clip, `(2, ...)`, by the logarithms of their sizes."""
+    return jnp.stack([jnp.exp(log_size) * memory["aspect"] ** 0.5, jnp.exp(log_size) / memory["aspect"] ** 0.5])
+
+
 def followed(look: Look, start: jax.Array) -> StateSpaceModel:
     """Return the model of a target that is first seen in the state `start` `(3,)`."""
-    place = jnp.diag(jnp.array([(0.02 * look.scale) ** 2] * 2 + [0.01**2]))
+    place = jnp.diag(jnp.array([0.02, 0.02, 0.01]) * jnp.exp(start[2]) ** jnp.array([1, 1, 0])) ** 2
     return StateSpaceModel(Gaussian(start, place), *_conditionals(look), STATES)
 
 
@@ -84,7 +80,7 @@ def _conditionals(look: Look) -> tuple[AdditiveGaussian, Custom]:
     """Return dynamics and sensor; the same for equal looks, so that nothing is compiled twice."""
 
     def spread(x: jax.Array, u: Any, t: Any) -> jax.Array:
-        pace = PACE * look.scale * jnp.exp(x[2])
+        pace = PACE * jnp.exp(x[2])
         return jnp.diag(jnp.stack([pace**2, pace**2, jnp.full((), GROWTH**2, x.dtype)]))
 
     def density(y: Any, X: jax.Array, u: Any, t: Any) -> jax.Array:

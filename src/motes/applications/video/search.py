@@ -5,9 +5,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from motes.applications.video.model import PACE, Look
+from motes.applications.video.model import PACE, Look, sides
 from motes.filters.adapting import MEMORY
 
 STRIDE, PLACES = 1 / 6, 1_500
@@ -22,19 +21,21 @@ def anywhere(look: Look, width: int, height: int) -> Any:
 
     The same for equal arguments, so that nothing is compiled twice.
     """
-    apart = STRIDE * np.array([look.width, look.height])
-    apart *= max(1.0, (width * height / np.prod(apart) / PLACES) ** 0.5)
-    places = np.meshgrid(np.arange(apart[0] / 2, width, apart[0]), np.arange(apart[1] / 2, height, apart[1]))
-    grid = np.stack(places).reshape(2, -1)
 
     def draw(key: jax.Array, y: Any, u: Any, t: Any) -> jax.Array:
-        size = u[MEMORY]["seen"][2]
-        states = jnp.concatenate([jnp.asarray(grid, size.dtype), jnp.full((1, grid.shape[1]), size)])
+        whole, size = jnp.array([width, height]), u[MEMORY]["seen"][2]
+        apart = STRIDE * sides(size, u[MEMORY])
+        apart *= jnp.maximum(1.0, jnp.sqrt(width * height / jnp.prod(apart) / PLACES))
+        count = jnp.maximum(1, whole // apart).astype(jnp.int32)
+        apart, number = whole / count, jnp.arange(PLACES)
+        corner = jnp.stack([number % count[0], number // count[0]])
+        states = jnp.concatenate([(corner + 0.5) * apart[:, None], jnp.full((1, PLACES), size)]).astype(size.dtype)
         # the same for all particles, and so worked out once
-        looks = jnp.cumsum(jax.nn.softmax(SOFT * look.log_likelihood(y, states, u[MEMORY])))
+        found = SOFT * look.log_likelihood(y, states, u[MEMORY])
+        looks = jnp.cumsum(jax.nn.softmax(jnp.where(number < jnp.prod(count), found, -jnp.inf)))
         which, near = jax.random.split(key)
         place = jnp.searchsorted(looks, looks[-1] * jax.random.uniform(which, dtype=size.dtype))
         spread = jnp.array([*(apart / 2), PACE], size.dtype)
-        return states[:, jnp.minimum(place, grid.shape[1] - 1)] + spread * jax.random.normal(near, (3,), size.dtype)
+        return states[:, jnp.minimum(place, PLACES - 1)] + spread * jax.random.normal(near, (3,), size.dtype)
 
     return draw
