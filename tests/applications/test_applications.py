@@ -122,7 +122,8 @@ def test_settings_are_their_file(name, tmp_path):
 SHORT = {"terrain": ("--route.fixes", "41", "--n", "300"), "robot": ("--seconds", "60", "--n", "60"),
          "aircraft": ("--duration", "600", "--plots.steps", "200", "--n", "40"),
          "laser": ("--seconds", "60", "--n", "300"), "slam": ("--seconds", "60", "--n", "5"),
-         "mode_s": ("--seconds", "0.004", "--aircraft", "2"), "target_tracking": ("--scans", "20", "--n", "100"), "video": ("--frames", "24")}  # fmt: skip
+         "mode_s": ("--seconds", "0.004", "--aircraft", "2"),
+         "target_tracking": ("--scans", "20", "--n", "100"), "video": ("--frames", "24")}  # fmt: skip
 SHOWN_BY_NIGHT = {"aircraft", "laser", "mode_s", "slam", "target_tracking", "video"}
 
 

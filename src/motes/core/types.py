@@ -17,8 +17,8 @@ Inputs = Any
 Measurements = ArrayLike | Sequence[Any]
 """Measurements of a run `(t, y)`: an array, a masked one, or nested sequences in which None and NA stand for what is missing."""
 
-UserFunction = Callable[[jax.Array, Any, Any], Any]
-"""`f(x, u, t)`: one state `(x,)`, the inputs of the step, the step index; never batched."""
+UserFunction = Callable[..., Any]
+"""`f(x, u, t)`: one state `(x,)`, the inputs of the step, the step index; never batched. Of a model that modes share the mode, too."""
 
 MatrixLike = ArrayLike | UserFunction
 """A matrix, or a user function that returns one."""

@@ -1,7 +1,6 @@
 """The record of a run."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from motes.core import checks, markdown
 from motes.core.logspace import RunningSum
 from motes.core.record import record, replace, static
+from motes.filters.history_files import check_forms, recorded
 from motes.filters.info import Info
 from motes.io import archive
 from motes.laws.observed import Observed
@@ -129,7 +129,7 @@ class History:
 
     @property
     def delayed_mode_probabilities(self) -> jax.Array:
-        """Probabilities of the last modes of each step, the newest first, `(t, lag + 1, m)`; NaN before the first (`keep.modes(lag=...)`)."""
+        """Probabilities of the last modes, the newest first, `(t, lag + 1, m)`; NaN before the first (with `keep.modes(lag=...)`)."""
         return self._kept("delayed_mode_probabilities")
 
     def mode_probabilities_after(self, lag: int) -> jax.Array:
@@ -275,11 +275,11 @@ class History:
         if path.suffix == ".nc":
             checks.refuse(str(path), "a history saved as .npz", "a NetCDF file, which xarray.open_dataset reads",
                           "Save with history.save('run.npz') to load it.", checks.FileError)
-        tree, texts = archive.read_tree(path, "history", lambda forms, texts: _check_forms(path, forms, texts))
+        tree, texts = archive.read_tree(path, "history", lambda forms, texts: check_forms(path, forms, texts))
         mean = tree.get("kept", {}).get("mean", np.zeros(()))
         if not isinstance(mean, dict) and not np.isfinite(mean).all():
             checks.refuse(f"{path}: kept/mean", "finite numbers", "NaN or infinite ones", "Restore it from a copy.", checks.FileError)
-        info = _recorded(tree["info"])
+        info = recorded(tree["info"])
         last = dict(tree["last"])
         evidence = RunningSum(**{name: jnp.asarray(value) for name, value in last.pop("evidence").items()})
         y = last["y"]
@@ -299,47 +299,6 @@ class History:
         rest = (jnp.asarray(tree["start"]), tuple(texts["names"]), texts["filter"])
         traits |= {"circular": tuple(texts.get("circular", ())), "rounding": tree.get("rounding"), "times": tree.get("times")}
         return cls(kept, info, carry, *rest, **traits)
-
-
-def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> None:
-    """Refuse a file whose arrays cannot be those of a history, before they are read."""
-    names = texts.get("names")
-    named = isinstance(names, list) and all(isinstance(name, str) for name in names) and isinstance(texts.get("filter"), str)
-    if not isinstance(names, list) or not named or not isinstance(texts.get("forms", {}), dict):
-        checks.refuse(f"{path}: texts", "names of states and of a filter", "others", "Restore it from a copy.", checks.FileError)
-    kinds = {"collapsed": "b", "alarm": "b", "invalid": "iu", "gated": "iu", "freedom": "iuf"}
-    last = forms.get("last")
-    archive.agree(path, forms, {"info/log_evidence": ((None,), "f"), "start": ((), "iu"), "last/step": ((), "iu"),
-                                **measurement_form("last/y", last.get("y") if isinstance(last, dict) else None),
-                                "last/evidence/total": ((), "f"), "last/evidence/missed": ((), "f")})  # fmt: skip
-    steps, x = forms["info"]["log_evidence"].shape[0], len(names)
-    there = {field.name for field in fields(Info)} & set(forms["info"]) | {"ess", "collapsed", "invalid", "lowest", "highest", "shortfall"}
-    archive.agree(path, forms, {f"info/{name}": ((steps,), kinds.get(name, "f")) for name in there})
-    if "times" in forms:
-        archive.agree(path, forms, {"times": ((steps,), "f")})
-    if set(forms["info"]) - there:
-        checks.refuse(f"{path}: info", "known records of steps", sorted(set(forms["info"]) - there)[0], "Read it with a newer motes.",
-                      checks.FileError)
-    kept = forms.get("kept", {})
-    known = {"mean": (steps, x), "cov": (steps, x, x), "mode_probabilities": (steps, None), "delayed_mode_probabilities": (steps, None, None)}
-    archive.agree(path, forms, {f"kept/{name}": (shape, "f") for name, shape in known.items() if isinstance(kept, dict) and name in kept})
-    law, state = kept.get("law") if isinstance(kept, dict) else None, last.get("state") if isinstance(last, dict) else None
-    # `keep.paths` keeps laws of another kind, which have no name in common
-    if isinstance(law, dict) and not (isinstance(state, dict) and state and law.keys().isdisjoint(state)):
-        archive.repeats(path, forms, "kept/law", (steps,), "last/state", ())
-
-
-def measurement_form(name: str, stored: Any) -> dict[str, tuple[tuple[int | None, ...], str]]:
-    """Return what a file must hold of one measurement under a name: a vector, or a tree and whether there was anything."""
-    return {f"{name}/there": ((), "b")} if isinstance(stored, dict) else {name: ((None,), "f")}
-
-
-def _recorded(fields: dict[str, Any]) -> Info:
-    """Return what a file says of each step; what files of version 0.1 lack reads as not known (`freedom` 0)."""
-    like = fields["log_evidence"]
-    lacking = {name: np.zeros_like(like) for name in ("nis", "freedom", "lost", "recovered")}
-    lacking |= {"alarm": np.zeros(like.shape, bool), "gated": np.zeros(like.shape, np.int32)}
-    return Info(**{name: jnp.asarray(value) for name, value in {**lacking, **fields}.items()})
 
 
 def ask_evidence(asked: str, has_evidence: bool, label: str) -> None:

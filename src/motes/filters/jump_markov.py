@@ -144,7 +144,9 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         kept, log_weights = gradients.noticed((state.resampled(ancestors), log_weights))
         log_transition = model.log_transition(u, t)[kept.part_modes].T
         moved = predicted(self.rule, model, jax.tree.map(lambda leaf: leaf[..., None, :], kept.parts), u, t)
-        earlier = jnp.concatenate([kept.part_modes[None], *([kept.earlier_modes] if self.lag else [])])
+        earlier = kept.part_modes[None]
+        if kept.earlier_modes is not None:
+            earlier = jnp.concatenate([earlier, kept.earlier_modes])
         return self._hypotheses(random.child(key, random.NOISE), model, moved, log_weights + log_transition, earlier)
 
     def correct(

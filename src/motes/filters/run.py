@@ -65,9 +65,7 @@ def run(
     if isinstance(ys, (Timeline, Iterator)):
         return (_run_along if isinstance(ys, Timeline) else _run_through)(key, filter, model, ys, inputs, keep, after)  # type: ignore[operator]
     key = random.key_or_data(key)
-    if not isinstance(filter, Filter):
-        checks.refuse("run filter", "a filter such as ParticleFilter(n=1000)", type(filter).__name__)
-    filter = keeping.remembering(filter, keep)
+    filter = keeping.remembering(checks.instance("run filter", filter, Filter, "a filter such as ParticleFilter(n=1000)"), keep)
     ys, inputs = checked_data(model, ys, inputs)
     if isinstance(key, jax.Array) and key.ndim and after is None:
         checks.shape("run key", key, (steps_of(ys),), "(one for each step)")

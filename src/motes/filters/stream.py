@@ -13,7 +13,8 @@ from motes.core import checks, random
 from motes.core.packed import Packed
 from motes.core.types import Inputs, KeyLike
 from motes.filters.data import checked_data, is_array, refuse_infinite
-from motes.filters.history import Carry, History, ask_evidence, measurement_form
+from motes.filters.history import Carry, History, ask_evidence
+from motes.filters.history_files import measurement_form
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.late import Past, joined_measurement

@@ -12,7 +12,6 @@ from motes.core.record import record, static
 from motes.laws.conditional import Conditional
 from motes.laws.law import Law
 
-
 FEW_MODES = 4
 """So many modes of one model and fewer are gone through one by one: XLA makes faster code of that, more of them would compile longer."""
 

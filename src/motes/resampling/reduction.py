@@ -14,7 +14,6 @@ import jax.numpy as jnp
 from motes.core import logspace, random
 from motes.resampling.schemes import ancestors_from_ends, boundaries
 
-
 PAIRED = 128
 """So many hypotheses and fewer are set beside each other pair by pair: sorting and running sums of them take longer."""
 

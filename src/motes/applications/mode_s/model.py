@@ -67,11 +67,11 @@ def series(samples: np.ndarray, found: Preambles, noise: float) -> tuple[np.ndar
     """
     count = len(found.sample)
     halves = samples[found.sample[:, None] + HEAD + np.arange(2 * BITS)].reshape(count * BITS, 2)
-    rows = np.stack([halves[:, 0].real, halves[:, 0].imag, halves[:, 1].real, halves[:, 1].imag], axis=1)
+    rows = np.stack([np.real(halves[:, 0]), np.imag(halves[:, 0]), np.real(halves[:, 1]), np.imag(halves[:, 1])], axis=1)
     start = found.amplitude * np.exp(1j * found.turn * HEAD)
     first = np.zeros((count, BITS), bool)
     first[:, 0] = True
-    each = {"start": np.stack([start.real, start.imag, found.turn], axis=1), "shift": found.shift, "level": np.abs(found.amplitude),
+    each = {"start": np.stack([np.real(start), np.imag(start), found.turn], axis=1), "shift": found.shift, "level": np.abs(found.amplitude),
             "noise": np.full(count, noise)}  # fmt: skip
     inputs = {name: np.repeat(column.astype(np.float32), BITS, axis=0) for name, column in each.items()} | {"first": first.reshape(-1)}
     rows = np.concatenate([np.full((1, 4), np.nan), rows]).astype(np.float32)

@@ -30,10 +30,11 @@ def message_figure(history: History, job: Any) -> Any:
     by_amplitude = np.array([any(abs(sample - other) <= 4 for other in usual) for sample in found.sample], bool)
     by_filter = np.array([sample in ours for sample in found.sample], bool)
     axes["all"].plot(decibels[~by_filter], found.share[~by_filter], "x", color="0.6", markersize=4, label="no message")
-    for some, color, name in ((by_filter & by_amplitude, ESTIMATE, "by both"), (by_filter & ~by_amplitude, INERTIAL, "by the filter alone")):
+    groups = ((by_filter & by_amplitude, ESTIMATE, "by both"), (by_filter & ~by_amplitude, INERTIAL, "by the filter alone"))
+    for some, color, name in groups:
         axes["all"].plot(decibels[some], found.share[some], "o", color=color, markersize=4, label=name)
-    axes["all"].set(title=f"Preambles: {len(ours)} messages are right, {len(usual)} by amplitude", xlabel="signal-to-noise ratio of a pulse, dB",
-                    ylabel="share explained")  # fmt: skip
+    axes["all"].set(title=f"Preambles: {len(ours)} messages are right, {len(usual)} by amplitude", ylabel="share explained",
+                    xlabel="signal-to-noise ratio of a pulse, dB")  # fmt: skip
     rows = np.flatnonzero(by_filter)
     if len(rows):
         row = rows[np.argmin(decibels[rows])]

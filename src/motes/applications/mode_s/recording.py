@@ -40,5 +40,5 @@ def write_samples(path: Path, samples: np.ndarray, form: str) -> None:
     """Write complex samples as a receiver does, rounded and clipped."""
     kind, middle = _FORMS[form]
     limits = np.iinfo(kind)
-    pairs = np.stack([samples.real, samples.imag], axis=1) + middle
+    pairs = np.stack([np.real(samples), np.imag(samples)], axis=1) + middle
     np.clip(np.round(pairs), limits.min, limits.max).astype(kind).tofile(path)
