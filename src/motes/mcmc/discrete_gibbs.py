@@ -63,15 +63,16 @@ class DiscreteGibbs(Kernel):
         values = jnp.asarray(self.values, x.dtype)
 
         def drawn(held: tuple[jax.Array, jax.Array], given: tuple[jax.Array, jax.Array]) -> Any:
-            x, _ = held
+            x, found = held
             place, u = given
-            # 2. the law of a coordinate given all others
-            densities = jax.vmap(lambda value: log_density(rebuild(x.at[place].set(value))))(values)
+            # 2. the law of a coordinate given all others; the density at the value that it has is known
+            own = jnp.argmin(jnp.abs(values - x[place]))
+            each = jnp.roll(values, -own)
+            densities = jnp.append(found, jax.vmap(lambda value: log_density(rebuild(x.at[place].set(value))))(each[1:]))
             invalid = jnp.isnan(densities) | (densities == jnp.inf)
             weights = jax.nn.softmax(jnp.where(invalid, -jnp.inf, densities))
             chosen = pick_each(weights, u)
-            leaves = 1 - jnp.sum(jnp.where(values == x[place], weights, 0))
-            return (x.at[place].set(values[chosen]), densities[chosen]), (leaves, jnp.sum(invalid, dtype=jnp.int32))
+            return (x.at[place].set(each[chosen]), densities[chosen]), (1 - weights[0], jnp.sum(invalid, dtype=jnp.int32))
 
         # 1. in turn
         u = random.uniform(key, x.shape, state.log_density.dtype)
