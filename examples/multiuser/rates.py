@@ -89,7 +89,7 @@ class Compared(NamedTuple):
             rate, low, high = (np.array(part) for part in zip(*each, strict=True))
             color = self.colors()[name]
             own: dict[str, Any] = {"linestyle": "--", "zorder": 3} if name == self.reference else {"marker": "o", "markersize": 3}
-            axes.fill_between(self.decibels, np.maximum(low, 1e-9), high, color=color, alpha=0.15, linewidth=0)
+            axes.fill_between(self.decibels, np.maximum(low, 1e-9), high, color=color, alpha=0.1, linewidth=0)
             axes.plot(self.decibels, np.where(rate > 0, rate, np.nan), color=color, linewidth=1.4, label=name, **own)
         tidy(axes)
         least = min(each.rate for rates in self.rates.values() for each in rates if each.rate)
