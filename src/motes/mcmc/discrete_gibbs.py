@@ -54,7 +54,7 @@ class DiscreteGibbs(Kernel):
         for leaf in jax.tree.leaves(position):
             found = np.asarray(leaf)
             held = np.asarray(self.values).astype(found.dtype)
-            if not np.isin(found, held).all() or not np.array_equal(held, np.float32(self.values)):
+            if not np.isin(found, held).all() or not np.array_equal(held, np.asarray(self.values, np.float32)):
                 checks.refuse("DiscreteGibbs position", f"coordinates that are one of {self.values}", found.tolist())
 
     def step(self, key: jax.Array, log_density: LogDensity, state: State, t: Any) -> tuple[State, Info]:
