@@ -49,5 +49,6 @@ def examples():
     }
 
 
-ELSEWHERE = {"Gibbs": "test_gibbs.py", "ReversibleJump": "test_reversible_jump.py", "GeneralizedSampler": "test_generalized.py",
+ELSEWHERE = {"Gibbs": "test_gibbs.py", "DiscreteGibbs": "test_discrete_gibbs.py", "ParallelTempering": "test_discrete_gibbs.py",
+             "ReversibleJump": "test_reversible_jump.py", "GeneralizedSampler": "test_generalized.py",
              "PseudoMarginal": "../parameters/test_parameters.py"}  # fmt: skip

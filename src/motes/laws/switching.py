@@ -103,10 +103,15 @@ def in_each_mode(parts: tuple[Any, ...], count: int, u: Any, ask: Callable[..., 
     return jax.vmap(lambda mode, given: ask(parts[0], WithMode(u, mode), given), in_axes=(0, axes), out_axes=-2)(modes, given)
 
 
+def pick_each(weights: jax.Array, points: jax.Array) -> jax.Array:
+    """Indices int32, one for each uniform number `(*n)` in [0, 1), in proportion to weights `(m, *n)` of its own; for few weights."""
+    edges = jnp.cumsum(weights, axis=0)
+    return jnp.sum(points * edges[-1] >= edges[:-1], axis=0, dtype=jnp.int32)
+
+
 def _drawn(key: jax.Array, rows: jax.Array) -> jax.Array:
     """Draw one index `(n,)` for each column of probabilities `(m, n)`."""
-    edges = jnp.cumsum(rows, axis=0)
-    return jnp.sum(random.uniform(key, rows.shape[1:], rows.dtype) * edges[-1] >= edges[:-1], axis=0)
+    return pick_each(rows, random.uniform(key, rows.shape[1:], rows.dtype))
 
 
 @record

@@ -13,6 +13,7 @@ from .convergence import r_hat as r_hat
 from .convergence import raftery_lewis as raftery_lewis
 from .convergence import standard_error as standard_error
 from .convergence import tail_ess as tail_ess
+from .discrete_gibbs import DiscreteGibbs as DiscreteGibbs
 from .generalized import GeneralizedSampler as GeneralizedSampler
 from .generalized import Orbit as Orbit
 from .gibbs import Gibbs as Gibbs
@@ -32,6 +33,7 @@ from .metropolis import MetropolisHastings as MetropolisHastings
 from .metropolis import RandomWalkMetropolis as RandomWalkMetropolis
 from .models import frequencies as frequencies
 from .multiple_try import MultipleTry as MultipleTry
+from .parallel_tempering import ParallelTempering as ParallelTempering
 from .pseudo_marginal import PseudoMarginal as PseudoMarginal
 from .reparametrized import Reparametrized as Reparametrized
 from .reversible_jump import ReversibleJump as ReversibleJump

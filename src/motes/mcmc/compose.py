@@ -27,6 +27,11 @@ class Compound(Kernel):
             names.append(move if move not in names else next(name for k in count(2) if (name := f"{move} {k}") not in names))
         return tuple(names)
 
+    @property
+    def of_one_density(self) -> bool:  # type: ignore[override]
+        """Whether any of them is."""
+        return any(kernel.of_one_density for kernel in self.kernels)
+
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Check each kernel."""
         for kernel in self.kernels:
@@ -151,9 +156,9 @@ class Block(Kernel):
         """Check the kernel.
 
         Raises:
-            MotesError: it is none.
+            MotesError: it is none, or serves one density alone.
         """
-        as_kernel("Block kernel", self.kernel)
+        as_kernel("Block kernel", self.kernel, of_many=True)
         if isinstance(self.part, (list, np.ndarray, jax.Array)):
             object.__setattr__(self, "part", tuple(np.ravel(self.part).tolist()))
 

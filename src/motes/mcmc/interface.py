@@ -6,7 +6,7 @@ constant. The density is an argument, never a field: a kernel is a frozen record
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -66,7 +66,14 @@ class Info:
 
 
 class Kernel(ABC):
-    """A step of a Markov chain. Subclasses are records; methods are pure and work under jit and vmap."""
+    """A step of a Markov chain. Subclasses are records; methods are pure and work under jit and vmap.
+
+    Attributes:
+        of_one_density: whether what it keeps for itself belongs to one density, so that it can move no part of a position, whose law
+            changes with the others.
+    """
+
+    of_one_density: ClassVar[bool] = False
 
     @property
     def moves(self) -> tuple[str, ...]:
@@ -162,6 +169,11 @@ class Wrapper(Kernel):
         """Those of the kernel."""
         return self.kernel.moves
 
+    @property
+    def of_one_density(self) -> bool:  # type: ignore[override]
+        """As the kernel."""
+        return self.kernel.of_one_density
+
     def check(self, key: jax.Array, log_density: LogDensity, position: Position) -> None:
         """Check the kernel."""
         self.kernel.check(key, log_density, position)
@@ -180,16 +192,24 @@ class Wrapper(Kernel):
         return replace(inner, kernel_state=self.around(inner.kernel_state, position))
 
 
-def as_kernel(argument: str, value: Any) -> Kernel:
+def as_kernel(argument: str, value: Any, of_many: bool = False) -> Kernel:
     """Return a kernel.
 
+    Args:
+        argument: the argument that it was given as.
+        value: what was given.
+        of_many: whether it has to serve many densities.
+
     Raises:
-        MotesError: it is none.
+        MotesError: it is none, or serves one density alone.
     """
     checks.instance(argument, value, Kernel, "a kernel such as mo.mcmc.RandomWalkMetropolis(0.5)")
     if jax.tree_util.all_leaves([value]):
         checks.refuse(argument, "a kernel that JAX knows as a tree", type(value).__name__,
                       "Make it a frozen dataclass and register it by jax.tree_util.register_dataclass.")
+    if of_many and value.of_one_density:
+        wanted = "a kernel whose density may change from step to step"
+        checks.refuse(argument, wanted, f"{value!r}"[:200], "Put ParallelTempering around all.")
     return value
 
 

@@ -84,7 +84,7 @@ class ReversibleJump(Kernel):
         if not callable(size):
             checks.refuse("ReversibleJump size", "a function of the model", type(size).__name__)
         if within is not None:
-            as_kernel("ReversibleJump within", within)
+            as_kernel("ReversibleJump within", within, of_many=True)
         for field, value in (("names", tuple(jumps)), ("jumps", tuple(jumps.values())), ("size", size), ("within", within),
                              ("probabilities", probabilities)):
             object.__setattr__(self, field, value)

@@ -2,6 +2,7 @@ from .adaptive import Adapted as Adapted
 from .adaptive import adaptive_importance_sampling as adaptive_importance_sampling
 from .annealing import Annealed as Annealed
 from .annealing import anneal as anneal
+from .chain import chain_expectation as chain_expectation
 from .estimate import Estimate as Estimate
 from .importance import importance_sampling as importance_sampling
 from .importance import multiple_importance_sampling as multiple_importance_sampling

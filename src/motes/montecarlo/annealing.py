@@ -43,7 +43,7 @@ def anneal(key: KeyLike, kernel: Kernel, log_density: LogDensity, init: Any, ste
     Raises:
         MotesError: an argument cannot be used, or the start has no finite density.
     """
-    as_kernel("anneal kernel", kernel)
+    as_kernel("anneal kernel", kernel, of_many=True)
     for name, value in (("steps", steps), ("chains", chains)):
         checks.positive_integer(f"anneal {name}", value)
     position = jax.tree.map(lambda leaf: checks.as_float("anneal init", leaf), init)

@@ -19,7 +19,7 @@ from motes.laws.cloud import Cloud, weighted_moments
 from motes.laws.law import Law, as_law
 from motes.mcmc.adaptive import Adaptive
 from motes.mcmc.compose import Repeat
-from motes.mcmc.interface import Kernel, Tunable
+from motes.mcmc.interface import Kernel, Tunable, as_kernel
 from motes.montecarlo.estimate import densities_at
 from motes.resampling.schemes import Scheme, Systematic
 from motes.tracing.compiling import jitted
@@ -78,6 +78,7 @@ def temper(key: KeyLike, prior: Any, log_likelihood: Any, n: int, how: Tempering
     checks.positive_integer("temper n", n)
     if not isinstance(how, Tempering) or not isinstance(how.kernel, Kernel):
         checks.refuse("temper how", "mo.montecarlo.Tempering(a kernel)", type(how).__name__)
+    as_kernel("Tempering kernel", how.kernel, of_many=True)
     checks.above_zero("Tempering ess", how.ess, 1.0)
     checks.positive_integer("Tempering moves", how.moves)
     law, key = as_law("temper prior", prior), random.as_key(key)
