@@ -60,7 +60,7 @@ def series(samples: np.ndarray, found: Preambles, noise: float) -> tuple[np.ndar
     Args:
         samples: complex, `(t,)`.
         found: where they begin.
-        noise: power a sample.
+        noise: power a sample, at the least: where more is about a preamble that no pulse explains, as much counts as noise.
 
     Returns:
         Measurements `(1 + 112 k, 4)`, and inputs.
@@ -72,7 +72,7 @@ def series(samples: np.ndarray, found: Preambles, noise: float) -> tuple[np.ndar
     first = np.zeros((count, BITS), bool)
     first[:, 0] = True
     each = {"start": np.stack([np.real(start), np.imag(start), found.turn], axis=1), "shift": found.shift, "level": np.abs(found.amplitude),
-            "noise": np.full(count, noise)}  # fmt: skip
+            "noise": np.maximum(noise, found.excess)}  # fmt: skip
     inputs = {name: np.repeat(column.astype(np.float32), BITS, axis=0) for name, column in each.items()} | {"first": first.reshape(-1)}
     rows = np.concatenate([np.full((1, 4), np.nan), rows]).astype(np.float32)
     return rows, {name: np.concatenate([column[:1] * 0, column]) for name, column in inputs.items()}
