@@ -45,7 +45,7 @@ def picture(room: Room, shown: Shown) -> Any:
     own, words = below.get_legend_handles_labels()
     fresh = [place for place, word in enumerate(words) if word not in names]
     figure.legend(handles + [own[i] for i in fresh], names + [words[i] for i in fresh],
-                  loc="outside lower center", ncols=3, frameon=False, markerscale=2)  # fmt: skip
+                  loc="outside lower center", ncols=3, frameon=False, markerscale=1.5)  # fmt: skip
     return figure
 
 
