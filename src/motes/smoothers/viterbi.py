@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks
+from motes.core.loop import loop
 from motes.core.record import record
 from motes.filters.history import History
 from motes.filters.needs import as_jump_markov
@@ -71,7 +72,7 @@ class Viterbi(Smoother):
             return best - jnp.max(best), jnp.argmax(ways, axis=0).astype(jnp.int32)
 
         later = jax.tree.map(lambda leaf: leaf[1:], (steps.u, steps.t))
-        best, ways = jax.lax.scan(forward, log_weights[0], (log_weights[:-1], log_weights[1:], *later))
+        best, ways = loop(forward, log_weights[0], (log_weights[:-1], log_weights[1:], *later))
         # 3. follow
         last = jnp.argmax(best).astype(jnp.int32)
         _, earlier = jax.lax.scan(lambda mode, way: (way[mode], way[mode]), last, ways, reverse=True)

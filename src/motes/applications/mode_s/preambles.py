@@ -61,7 +61,7 @@ def find(samples: np.ndarray, least_share: float) -> Preambles:
     # a fit explains no more than lies in the samples that its pulses reach
     reached = sum(power[k : k + count] + power[k + 1 : k + 1 + count] for k in PULSES)
     strong = np.flatnonzero((reached > least_share * total) & (reached > LEAST * noise_power(samples)))
-    fits = [_fitted(samples[strong[:, None] + np.arange(HEAD)], shift) for shift in SHIFTS]
+    fits = [_explained(samples[strong[:, None] + np.arange(HEAD)], shift) for shift in SHIFTS]
     energy = np.stack([fit[0] for fit in fits])
     best, rows = energy.argmax(axis=0), np.arange(len(strong))
     amplitude, turn = (np.stack([fit[place] for fit in fits])[best, rows] for place in (1, 2))
@@ -83,7 +83,7 @@ def pulses(shift: float) -> np.ndarray:
     return filled
 
 
-def _fitted(windows: np.ndarray, shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _explained(windows: np.ndarray, shift: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fit pulses of one shift to windows `(k, 16)`: energy explained, complex amplitude, turn of the phase."""
     filled = pulses(shift)
     spectrum = np.fft.fft(windows * filled, TURNS, axis=1)
