@@ -13,7 +13,7 @@ from motes.applications.mode_s.job import decided, load
 from motes.applications.mode_s.parity import judged, number, remainder, with_parity
 from motes.applications.mode_s.preambles import BITS, find, pulses
 from motes.applications.mode_s.settings import Settings
-from motes.applications.mode_s.world import made_up
+from motes.applications.mode_s.world import received
 from motes.cli.main import main
 
 
@@ -126,7 +126,7 @@ def test_files_that_are_no_recordings(tmp_path):
             load(Settings(data=str(path)), 0)
     with pytest.raises(mo.FileError, match="a file that can be read"):
         load(Settings(data=str(tmp_path / "none.bin")), 0)
-    world = made_up(0, 1, 0.004, 20.0)
+    world = received(0, 1, 0.004, 20.0)
     for form in ("unsigned8", "signed16"):
         job = load(Settings(aircraft=1, seconds=0.004, snr=20.0), 0)
         job.written(tmp_path, Settings(samples=form))

@@ -15,7 +15,7 @@ from motes.applications.mode_s.parity import is_long, judged, number
 from motes.applications.mode_s.preambles import BITS, Preambles, find, noise_power
 from motes.applications.mode_s.recording import RATE, read_samples, write_samples
 from motes.applications.mode_s.settings import Settings
-from motes.applications.mode_s.world import made_up
+from motes.applications.mode_s.world import received
 from motes.core import checks
 from motes.filters import keep as keeping
 from motes.filters.history import History
@@ -46,7 +46,7 @@ def load(settings: Settings, seed: int) -> "ModeSJob":
         checks.refuse("share", "at least 0.3 and below 1", settings.share)
     if not 0 <= settings.noise < np.inf:
         checks.refuse("noise", "a number of at least 0", settings.noise)
-    world = None if settings.data else made_up(seed, settings.aircraft, settings.seconds, settings.snr)
+    world = None if settings.data else received(seed, settings.aircraft, settings.seconds, settings.snr)
     samples = read_samples(settings.data, settings.samples) if world is None else world.samples
     if settings.noise:
         rng = np.random.default_rng(seed)

@@ -35,7 +35,7 @@ class World(NamedTuple):
     sent: tuple[tuple[int, np.ndarray], ...]
 
 
-def made_up(seed: int, aircraft: int, seconds: float, snr: float) -> World:
+def received(seed: int, aircraft: int, seconds: float, snr: float) -> World:
     """Make a recording.
 
     Args:
