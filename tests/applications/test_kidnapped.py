@@ -66,6 +66,7 @@ def test_what_is_cut_out_takes_no_time_and_no_turn_of_a_wheel():
     assert np.allclose(made.inputs.forward[step], 0, atol=1e-5) and np.allclose(made.inputs.turn[step], 0, atol=1e-5)
 
 
+@pytest.mark.night
 def test_it_is_shown_and_runs_again_from_its_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["demo", "robot", "--seconds", "100", "--kidnap", "60", "--n", "200"]) == 0

@@ -71,6 +71,7 @@ def test_settings_are_refused(changes, word):
     refused(error, word)
 
 
+@pytest.mark.night
 def test_it_is_shown_and_runs_again_from_its_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("motes.applications.laser.pictures.PICTURES", 2)

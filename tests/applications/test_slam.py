@@ -31,6 +31,7 @@ def test_beacons_that_nobody_surveyed_are_found_on_their_rings():
     assert found["path rms"] < 0.7 and found["landmarks rms"] < 1.0, found
 
 
+@pytest.mark.night
 def test_objects_are_mapped_and_the_odometry_corrected():
     job = load(Settings(seconds=300.0, sights="places"), 2)
     history = mo.run(2, mo.LandmarkFilter(n=100), job.model, job.ys, job.inputs, keep=mo.keep.paths)
@@ -88,6 +89,7 @@ def test_settings_that_cannot_be_used(settings, said):
     refused(error, said)
 
 
+@pytest.mark.night
 def test_the_command_writes_pictures_and_runs_again_from_its_files(tmp_path, capsys):
     main(["demo", "slam", "--seconds", "60", "--sights", "places", "--n", "20", "--out", str(tmp_path / "a")])
     assert "landmarks are on the map" in capsys.readouterr().out
@@ -128,6 +130,7 @@ def test_victoria_park_beside_the_batch_answer():
     assert max(off) < 20 and np.mean(off) < 7, off
 
 
+@pytest.mark.night
 def test_the_batch_answer_is_the_most_likely():
     world = made_up(4, 60.0)
     job = load(Settings(seconds=60.0, sights="places"), 4)

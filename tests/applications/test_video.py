@@ -138,6 +138,7 @@ def test_clips_of_all_kinds(tmp_path):
     assert np.array_equal(grey[..., 0], grey[..., 2]) and np.abs(grey.astype(int) - smooth).max() <= 1
 
 
+@pytest.mark.night
 def test_the_model_draws_pictures_as_they_are_looked_at():
     """Of the first state the first picture itself, but for the noise of the camera; elsewhere the target is where the state is."""
     job = load(Settings(frames=12), 0)
@@ -284,6 +285,7 @@ def test_a_clip_of_which_the_end_is_missing_is_followed_to_there(tmp_path):
     assert len(ys) == len(found) and ys[-1] is not None, "it ends with its last picture that can be decoded"
 
 
+@pytest.mark.night
 def test_pictures_without_colour_are_followed(tmp_path):
     world = PLAIN(4, 12)
     grey = [np.broadcast_to(one.mean(axis=2, keepdims=True).astype(np.uint8), one.shape) for one in world.pictures()]
@@ -294,6 +296,7 @@ def test_pictures_without_colour_are_followed(tmp_path):
     assert len(list(single.ys())) == 1, "the last picture alone is a clip, too"
 
 
+@pytest.mark.night
 def test_a_target_is_found_again_where_it_comes_back(rendered):
     """It is gone for twenty pictures and comes back elsewhere; one world here, twenty by night."""
     world = PLAIN(3, 120, gone=15)

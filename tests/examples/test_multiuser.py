@@ -70,6 +70,7 @@ def test_bands_know_of_errors_that_come_together(example):
     assert rates.over(wrong, wrong) == (1.0, 0.0) and np.isnan(rates.over(wrong, 0 * wrong)[0])
 
 
+@pytest.mark.night
 def test_receivers_of_a_channel_without_noise(example):
     """Measurements are sums of complex products; nothing is wrong without noise, from the first pilots on."""
     mimo, channel = example["mimo"], example["channel"]

@@ -42,6 +42,7 @@ def test_all_ways_are_in_the_table(tanks):
     assert np.isfinite([row[3] for row in table.rows]).all()
 
 
+@pytest.mark.night
 def test_large_leaks_are_found(leak):
     """A leak of 30 percent from step 40 on, against what is said of the steps before it."""
     runs = 4
