@@ -1,5 +1,6 @@
 """The folders of `examples/` on the import path, one at a time: several have a `model.py`."""
 
+import runpy
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,3 +22,9 @@ def importable(name):
         for module in own:
             sys.modules.pop(module, None)
         sys.modules.update(others)
+
+
+def loaded(name, program="run"):
+    """Names of an example's program."""
+    with importable(name) as folder:
+        return runpy.run_path(str(folder / f"{program}.py"))

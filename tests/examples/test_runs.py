@@ -1,19 +1,11 @@
 """Examples that run without data: small runs, against what was simulated."""
 
-import runpy
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import motes as mo
-from examples_of import importable
-
-
-def loaded(name):
-    """Names of an example's program."""
-    with importable(name) as folder:
-        return runpy.run_path(str(folder / "run.py"))
+from examples_of import loaded
 
 
 @pytest.fixture(scope="module")
