@@ -1,14 +1,14 @@
 """Bits over a channel with echoes that nobody knows: blind equalization.
 
-    python examples/communications/equalization.py [--blocks 200]
+    python examples/communications/equalization.py [--blocks 600] [--particles 16]
 
 Three complex taps, drawn for each block with powers .6, .3 and .1, reach over three symbols: y_t = h_0 s_t + h_1 s_{t-1} + h_2 s_{t-2} +
 noise, s_t = d_t s_{t-1}. Before a block nothing is sent; its first symbol is no bit, since the sign of the channel is unknown too. The
 modes of the jump-Markov system are d = 1 and -1, the three last symbols are states without variance. Beside it: the Viterbi algorithm
 where the channel is known, and per-survivor processing (Raheli, Polydoros, Tzou 1995), where each survivor of the trellis carries a Kalman
 filter of the taps. Taps that stand still, and taps that move. Where a first or last tap is next to nothing, taps and bits that are both
-moved by a symbol fit as well: bits of blind receivers are counted at the shift, of at most one symbol, that leaves fewest wrong in a block.
-The picture goes to out/equalization.png.
+moved by a symbol fit as well: bits of blind receivers are counted at the shift, of at most two symbols, that leaves fewest wrong in a
+block. The picture goes to out/equalization.png.
 """
 
 import argparse
@@ -144,11 +144,11 @@ def wrong_bits(told, modes, lag, blind):
     Args:
         told: modes that a receiver decided on, `(blocks, t)`.
         modes: true ones.
-        lag: one or more.
+        lag: two or more.
         blind: whether the shift is free.
     """
     first, end = SCORED, modes.shape[1] - lag
-    each = np.stack([told[:, first + shift : end + shift] != modes[:, first:end] for shift in ((0, -1, 1) if blind else (0,))])
+    each = np.stack([told[:, first + shift : end + shift] != modes[:, first:end] for shift in ((0, -1, 1, -2, 2) if blind else (0,))])
     return each[each.sum(axis=2).argmin(axis=0), np.arange(len(modes))]
 
 
@@ -183,11 +183,12 @@ def failures(decibels, found):
 def main():
     """Compare receivers on taps that stand still and that move, print the tables and draw the picture."""
     parser = argparse.ArgumentParser(description="Blind equalization.")
-    parser.add_argument("--blocks", type=int, default=200, help=f"of {SYMBOLS} symbols at each signal-to-noise ratio (200)")
+    parser.add_argument("--blocks", type=int, default=600, help=f"of {SYMBOLS} symbols at each signal-to-noise ratio (600)")
+    parser.add_argument("--particles", type=int, default=PARTICLES, help=f"of the jump-Markov filter ({PARTICLES})")
     given = parser.parse_args()
     panels = {}
     for title, memory in (("taps that stand still", 1.0), ("taps that move", MOVING)):
-        found = panels[title] = compared(simulated(0, given.blocks, memory), memory, DECIBELS)
+        found = panels[title] = compared(simulated(0, given.blocks, memory), memory, DECIBELS, given.particles)
         print(f"\n{title}\n{table(DECIBELS, found, 'Viterbi, channel known')}\n{failures(DECIBELS, found)}", flush=True)
     picture("equalization", DECIBELS, panels)
 
