@@ -24,7 +24,7 @@ def importable(name):
         sys.modules.update(others)
 
 
-def loaded(name):
+def loaded(name, program="run"):
     """Names of an example's program."""
     with importable(name) as folder:
-        return runpy.run_path(str(folder / "run.py"))
+        return runpy.run_path(str(folder / f"{program}.py"))
