@@ -8,7 +8,7 @@ gives a `Job`: it reads the user's files where the settings name some, and other
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -62,6 +62,8 @@ class Job:
         lost: when a study counts a run as lost, as in `Experiment`.
     """
 
+    goes_on: ClassVar[bool] = True
+    """Whether a run can go on from a history; not where one piece is all there is."""
     model: Model
     ys: Any = None
     inputs: Any = None
@@ -77,9 +79,11 @@ class Job:
         """Return what runs in place of a filter that was named: the filter, with what the job puts around it."""
         return filter
 
-    def pieces(self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int) -> Iterator[History]:
-        """Run a filter; yield the histories of parts of so many steps, one after the other."""
-        return run_in_chunks(seed, filter, self.model, ys, inputs, keep, chunk=chunk)
+    def pieces(
+        self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int, after: History | None = None
+    ) -> Iterator[History]:
+        """Run a filter, from the end of a history on where one is given; yield the histories of parts of so many steps."""
+        return run_in_chunks(seed, filter, self.model, ys, inputs, keep, chunk, after)
 
     def news(self, pieces: Sequence[History]) -> Sequence[str]:
         """Return what is to be said at once of the last of the pieces that a run has done so far; nothing by default."""

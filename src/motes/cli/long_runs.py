@@ -1,28 +1,39 @@
-"""Runs over measurements that do not fit into memory: piece by piece, and kept on disk while they last, so that a killed one goes on.
+"""Runs piece by piece, also over measurements that do not fit into memory: kept on disk while they last, so that a killed one goes on.
 
-What is kept of a run has a name that tells filter, seed, measurements and what the job says of itself: another never goes on from it.
+What is kept of a run has a name that tells filter, seed, measurements, model or what the job says of itself: another never goes on from it.
 """
 
 import hashlib
+import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import jax
 
 from motes.applications.interface import Job
 from motes.cli.interruption import keeps
+from motes.core.checks import MotesError
 from motes.core.memory import give_back
 from motes.core.record import replace
+from motes.filters.data import steps_of
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
 from motes.filters.pieces import gathered
+from motes.filters.setup import canonical_parts
+from motes.io.archive import provenance
 from motes.io.files import label
+from motes.models.canonical import one_of
+from motes.tracing.fingerprint import fingerprint
 
 EVERY = 5.0
 """Seconds after which a run is kept once more."""
+CHUNKS = 20
+"""Pieces of a run over measurements that are all there."""
 ENDING = ".unfinished.npz"
 END = object()
 """In place of a measurement after the last one."""
@@ -41,27 +52,86 @@ def long_run(seed: int, filter: Filter, job: Job, keep: Keep, path: Path) -> Ite
     Raises:
         MotesError: what `run` raises, and a file that cannot be read or written.
     """
-    told = repr((seed, filter, job.ys, getattr(keep, "__name__", ""), job.told()))
-    path = path.with_name(f".{path.name}.{hashlib.sha256(told.encode()).hexdigest()[:16]}{ENDING}")
-    found = [History.load(path)] if path.exists() else []
+    def further(after: History | None) -> Iterator[History]:
+        measurements = job.ys(0 if after is None else int(after.last.step) + 1)
+        first = next(measurements, END)
+        if after is not None and first is END:
+            return
+        measurements = measurements if first is END else chain([first], measurements)
+        for piece, _ in gathered(job.model, measurements, None):
+            after = job.piece(seed, filter, piece, keep, after)
+            jax.block_until_ready(after)
+            give_back()
+            yield after
+
+    return _kept_run(path, lambda: repr((seed, filter, job.ys, getattr(keep, "__name__", ""), job.told())), further)
+
+
+def whole_run(seed: int, filter: Filter, job: Job, ys: Any, inputs: Any, keep: Keep, path: Path) -> Iterator[History]:
+    """Run a filter over measurements that are all there, and yield the history of each piece; a killed run goes on where it was.
+
+    What was kept is known by the traced programs and numbers of filter and model, and by all data; where a function cannot be compared in
+    this way nothing is kept.
+
+    Args:
+        seed: of the filter.
+        filter: the filter that runs.
+        job: the model.
+        ys: measurements, time axis first.
+        inputs: of the model, time axis first.
+        keep: what to keep of each step.
+        path: see `long_run`.
+    """
+    steps = steps_of(ys)
+    chunk = math.ceil(steps / CHUNKS)
+    if not job.goes_on:
+        return job.pieces(seed, filter, ys, inputs, keep, chunk)
+
+    def further(after: History | None) -> Iterator[History]:
+        done = 0 if after is None else int(after.last.step) + 1
+        rows, u = jax.tree.map(lambda leaf: leaf[done:], (ys, inputs))
+        return job.pieces(seed, filter, rows, u, keep, chunk, after) if done < steps else iter(())
+
+    def told() -> str:
+        try:
+            known = canonical_parts(filter, job.model, jax.tree.map(one_of, inputs), jax.tree.map(one_of, ys))
+            digest = fingerprint("run", (known, jax.tree.leaves((ys, inputs))))
+        except MotesError:
+            return ""
+        kept = keep.func if isinstance(keep, partial) else keep
+        return repr((seed, digest, getattr(kept, "__qualname__", ""), getattr(keep, "keywords", {}), sorted(provenance().items())))
+
+    return _kept_run(path, told, further)
+
+
+def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | None], Iterator[History]]) -> Iterator[History]:
+    """Yield the pieces of a run, first of all what was kept of it, and keep it every few seconds.
+
+    Args:
+        path: where it is kept, to which more is added.
+        told: what tells the run from others; "" where that is not known, and nothing is kept. Asked where it matters.
+        further: gives the pieces after a history, or from the beginning.
+    """
+    def named() -> Path | None:
+        text = told()
+        return path.with_name(f".{path.name}.{hashlib.sha256(text.encode()).hexdigest()[:16]}{ENDING}") if text else None
+
+    # to tell a run apart takes a while: most are over before
+    file, known = (named(), True) if any(path.parent.glob(f".{path.name}.*{ENDING}")) else (None, False)
+    found = [History.load(file)] if file is not None and file.exists() else []
     yield from found
-    measurements = job.ys(int(found[0].last.step) + 1 if found else 0)
-    first = next(measurements, END)
-    if found and first is END:
-        return
-    measurements = measurements if first is END else chain([first], measurements)
     since = time.monotonic()
-    for piece, _ in gathered(job.model, measurements, None):
-        part = job.piece(seed, filter, piece, keep, found[-1] if found else None)
+    for part in further(found[-1] if found else None):
         jax.block_until_ready(part)
-        give_back()
         yield part
         found[-1:] = [replace(one, last=None) for one in found[-1:]] + [part]
         if time.monotonic() - since > EVERY:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            found = [joined(found)]
-            found[0].save(path)
-            keeps(label(path.parent))
+            file, known = (file, True) if known else (named(), True)
+            if file is not None:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                found = [joined(found)]
+                found[0].save(file)
+                keeps(label(file.parent))
             since = time.monotonic()
 
 

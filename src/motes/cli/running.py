@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table as Shown
 
 from motes.applications.interface import Job
-from motes.cli.long_runs import long_run
+from motes.cli.long_runs import long_run, whole_run
 from motes.core.checks import FileError, need, refuse
 from motes.core.progress import is_shown
 from motes.core.record import replace
@@ -35,7 +35,6 @@ from motes.models.state_space import at_step
 from motes.smoothers.interface import Smoother
 from motes.smoothers.smooth import smooth
 
-CHUNKS = 20
 DOTS = {".gif": 80}
 """Dots of an inch of what is no PNG."""
 
@@ -62,7 +61,7 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
         filters: by name.
         job: model, measurements and inputs.
         keep: what to keep of each step.
-        folder: where runs over measurements that do not fit into memory are kept while they last.
+        folder: where runs that take longer are kept while they last.
 
     Raises:
         MotesError: a filter does not fit the model, or its weights collapsed.
@@ -87,8 +86,9 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
                 progress.advance(task, steps)
                 further()
 
-            pieces = (long_run(seed, filters[name], job, keep, Path(folder) / name) if long else
-                      job.pieces(seed, one, ys, inputs, keep, math.ceil(steps_of(ys) / CHUNKS)))  # fmt: skip
+            path = Path(folder) / name
+            pieces = (long_run(seed, filters[name], job, keep, path) if long else
+                      whole_run(seed, one, job, ys, inputs, keep, path))
             # what is told as it comes is told once: of the filter that the pictures show
             history, seconds = _timed(pieces, advance, job.news if name == next(iter(worn)) else lambda pieces: ())
             history = history if job.times is None else replace(history, times=np.asarray(job.times))

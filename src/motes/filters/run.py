@@ -138,8 +138,15 @@ def _check_end(end: Carry, filter: Filter, model: Any, u: Inputs, y: Any) -> Non
             checks.refuse("run after", f"the history of a run with the same filter and model, its {name} {one}"[:250], f"{other}"[:150])
 
 
-def run_in_chunks(
-    key: KeyLike, filter: Filter, model: Model, ys: Measurements, inputs: Inputs = None, keep: Keep = keeping.moments, chunk: int = 100
+def run_in_chunks(  # noqa: PLR0913 (those of run, and the length of a chunk)
+    key: KeyLike,
+    filter: Filter,
+    model: Model,
+    ys: Measurements,
+    inputs: Inputs = None,
+    keep: Keep = keeping.moments,
+    chunk: int = 100,
+    after: History | None = None,
 ) -> Iterator[History]:
     """Run in chunks of steps and yield the history of each: for progress, checkpoints and early stops. `joined` puts them together.
 
@@ -147,7 +154,7 @@ def run_in_chunks(
     """
     checks.positive_integer("run_in_chunks chunk", chunk)
     ys, inputs = checked_data(model, ys, inputs)
-    part = None
+    part = after
     for begin in range(0, steps_of(ys), chunk):
         piece = slice(begin, begin + chunk)
         rows = jax.tree.map(lambda leaf, piece=piece: leaf[piece], (ys, inputs))

@@ -77,9 +77,11 @@ class ModeSJob(Job):
     found: Preambles
     sent: tuple[tuple[int, np.ndarray], ...]
 
-    def pieces(self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int) -> Iterator[History]:
+    def pieces(
+        self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int, after: History | None = None
+    ) -> Iterator[History]:
         """Run a filter; the pieces are of few messages, so that these are told as they come."""
-        return run_in_chunks(seed, filter, self.model, ys, inputs, keep, chunk=min(chunk, AT_A_TIME * BITS))
+        return run_in_chunks(seed, filter, self.model, ys, inputs, keep, min(chunk, AT_A_TIME * BITS), after)
 
     def about(self) -> str:
         """Tell of the recording."""

@@ -46,11 +46,14 @@ class SeveralJob(RadarJob):
         start: time of the first scan in the user's file, s; `times` are those since.
     """
 
+    goes_on = False
     tracker: Tracker
     targets: tuple[str, ...]
     start: float
 
-    def pieces(self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int) -> Iterator[History]:
+    def pieces(
+        self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int, after: History | None = None
+    ) -> Iterator[History]:
         """Follow all targets, each track by the filter; one piece, since tracks are numbered at the end."""
         if keep is not self.keep:
             checks.refuse("smoother", "none where several targets are followed", "one")
