@@ -1,5 +1,6 @@
 """Recordings of a room: WAV files with a channel for each microphone."""
 
+import struct
 import warnings
 from pathlib import Path
 
@@ -21,7 +22,7 @@ def read_wav(path: str | Path, room: Room) -> tuple[np.ndarray, int]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks beside the sound
             rate, samples = wavfile.read(path)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ArithmeticError, struct.error, UnboundLocalError) as error:  # the reader meets damage in all these ways
         raise mo.FileError(f"{path}: expected a WAV file, got {error}") from None
     samples = np.atleast_2d(samples.T).T
     if samples.shape[1] != room.channels:

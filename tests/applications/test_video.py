@@ -323,7 +323,7 @@ def test_a_killed_run_goes_on_with_the_same_bits(tmp_path, monkeypatch):
     whole = mo.filters.joined(list(run()))
     kept = list((tmp_path / "run").glob(f".*{long_runs.ENDING}"))
     assert len(kept) == 1 and [len(part.ess) for part in run()] == [36], "what is done is not done again"
-    long_runs.forget(tmp_path / "run")
+    long_runs.forget()
     cut = run()
     next(cut), next(cut)
     cut.close()

@@ -48,7 +48,7 @@ def test_a_killed_run_goes_on_with_the_same_bits_and_no_other_does(tmp_path, mon
     again = mo.filters.joined(parts)
     assert all(np.array_equal(one, two) for one, two in zip(leaves(whole), leaves(again), strict=True))
     assert [len(part.ess) for part in started(job_of(), tmp_path)] == [41], "what is done is not done again"
-    long_runs.forget(tmp_path)
+    long_runs.forget()
     assert not list(tmp_path.glob(".*"))
 
 
@@ -61,8 +61,47 @@ def test_nothing_is_kept_where_a_run_cannot_be_told_apart_or_is_one_piece(tmp_pa
     monkeypatch.setattr(long_runs, "fingerprint", refuse)
     assert len(list(started(job_of(), tmp_path))) == 14 and not list(tmp_path.glob(".*"))
     one = replace(job_of())
+    assert len(list(started(job_of(), tmp_path, keep=lambda law: {"mean": law.mean()}))) == 14 and not list(tmp_path.glob(".*"))
     monkeypatch.setattr(Job, "goes_on", False)
     assert len(list(started(one, tmp_path))) == 14 and not list(tmp_path.glob(".*"))
+
+
+def test_what_is_damaged_is_begun_anew_and_what_is_anothers_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr(long_runs, "EVERY", 0.0)
+    (tmp_path / ".particle.0123456789abcdef.unfinished.npz").write_bytes(b"another's")
+    cut = started(job_of(), tmp_path)
+    next(cut), next(cut)
+    cut.close()
+    own = next(path for path in tmp_path.glob(".*") if "0123456789abcdef" not in path.name)
+    own.write_bytes(own.read_bytes()[:100])
+    with pytest.warns(mo.MotesWarning, match="The run is begun anew"):
+        assert len(list(started(job_of(), tmp_path))) == 14
+    long_runs.forget()
+    assert [path.read_bytes() for path in tmp_path.glob(".*")] == [b"another's"]
+
+
+def test_measurements_that_come_one_by_one_know_their_model(tmp_path, monkeypatch):
+    """A user's own job says nothing of itself."""
+    monkeypatch.setattr(long_runs, "EVERY", 0.0)
+
+    class Frames:
+        def __call__(self, step=0):
+            return iter(np.zeros((2000, 1), np.float32)[step:])
+
+        def __repr__(self):
+            return "frames"
+
+    def run(a):
+        model = mo.StateSpaceModel(mo.Gaussian([0.0], [[1.0]]), mo.LinearGaussian([[a]], [[0.3]]), mo.LinearGaussian([[1.0]], [[0.2]]))
+        return long_runs.long_run(1, mo.KalmanFilter(), Job(model=model, ys=Frames()), mo.keep.moments, tmp_path / "kalman")
+
+    cut = run(0.9)
+    first = len(next(cut).ess)
+    next(cut)
+    cut.close()
+    assert len(next(run(-0.9)).ess) == first, "another model begins anew"
+    assert int(next(run(0.9)).start) == 0 and len(list(tmp_path.glob(".*"))) >= 1
+    long_runs.forget()
 
 
 @pytest.mark.night

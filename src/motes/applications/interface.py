@@ -5,7 +5,7 @@ its fields, and their help is its docstring. It imports no JAX, so that `--help`
 gives a `Job`: it reads the user's files where the settings name some, and otherwise makes a world of its own from the seed.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -85,9 +85,9 @@ class Job:
         """Run a filter, from the end of a history on where one is given; yield the histories of parts of so many steps."""
         return run_in_chunks(seed, filter, self.model, ys, inputs, keep, chunk, after)
 
-    def news(self, pieces: Sequence[History]) -> Sequence[str]:
-        """Return what is to be said at once of the last of the pieces that a run has done so far; nothing by default."""
-        return ()
+    def news(self) -> Callable[[History], Sequence[str]]:
+        """Return, for one run, what says of each piece as it comes what is to be said at once; nothing by default."""
+        return lambda piece: ()
 
     def piece(self, seed: int, filter: Filter, ys: Any, keep: Keep, after: History | None) -> History:
         """Run a filter over a piece of measurements that do not fit into memory, from where the piece before ended."""

@@ -3,6 +3,7 @@
 What is kept of a run has a name that tells filter, seed, measurements, model or what the job says of itself: another never goes on from it.
 """
 
+import glob
 import hashlib
 import math
 import time
@@ -16,7 +17,8 @@ import jax
 
 from motes.applications.interface import Job
 from motes.cli.interruption import keeps
-from motes.core.checks import MotesError
+from motes.core import checks
+from motes.core.checks import FileError, MotesError
 from motes.core.memory import give_back
 from motes.core.record import replace
 from motes.filters.data import steps_of
@@ -27,7 +29,7 @@ from motes.filters.pieces import gathered
 from motes.filters.setup import canonical_parts
 from motes.io.archive import provenance
 from motes.io.files import label
-from motes.models.canonical import one_of
+from motes.models.canonical import canonical, one_of
 from motes.tracing.fingerprint import fingerprint
 
 EVERY = 5.0
@@ -35,8 +37,12 @@ EVERY = 5.0
 CHUNKS = 20
 """Pieces of a run over measurements that are all there."""
 ENDING = ".unfinished.npz"
+LONGEST = 100
+"""Letters of a filter's name that the name of a file takes."""
 END = object()
 """In place of a measurement after the last one."""
+
+_kept: set[Path] = set()
 
 
 def long_run(seed: int, filter: Filter, job: Job, keep: Keep, path: Path) -> Iterator[History]:
@@ -64,7 +70,12 @@ def long_run(seed: int, filter: Filter, job: Job, keep: Keep, path: Path) -> Ite
             give_back()
             yield after
 
-    return _kept_run(path, lambda: repr((seed, filter, job.ys, getattr(keep, "__name__", ""), job.told())), further)
+    def told() -> str:
+        # what a job says of itself stands for its model; of any other job the model is compared
+        digest = job.told() or _digest(lambda: canonical(job.model, None))
+        return _spelled(keep, seed, filter, job.ys, digest) if digest else ""
+
+    return _kept_run(path, told, further)
 
 
 def whole_run(seed: int, filter: Filter, job: Job, ys: Any, inputs: Any, keep: Keep, path: Path) -> Iterator[History]:
@@ -93,15 +104,28 @@ def whole_run(seed: int, filter: Filter, job: Job, ys: Any, inputs: Any, keep: K
         return job.pieces(seed, filter, rows, u, keep, chunk, after) if done < steps else iter(())
 
     def told() -> str:
-        try:
-            known = canonical_parts(filter, job.model, jax.tree.map(one_of, inputs), jax.tree.map(one_of, ys))
-            digest = fingerprint("run", (known, jax.tree.leaves((ys, inputs))))
-        except MotesError:
-            return ""
-        kept = keep.func if isinstance(keep, partial) else keep
-        return repr((seed, digest, getattr(kept, "__qualname__", ""), getattr(keep, "keywords", {}), sorted(provenance().items())))
+        shapes = jax.tree.map(one_of, (inputs, ys))
+        digest = _digest(lambda: (canonical_parts(filter, job.model, *shapes), jax.tree.leaves((ys, inputs))))
+        return _spelled(keep, seed, digest) if digest else ""
 
     return _kept_run(path, told, further)
+
+
+def _digest(known: Callable[[], Any]) -> str:
+    """Return a digest of functions and numbers; "" where a function cannot be compared by its traced program."""
+    try:
+        return fingerprint("run", known())
+    except MotesError:
+        return ""
+
+
+def _spelled(keep: Keep, *rest: Any) -> str:
+    """Spell what tells a run from others; "" where something of the user's own is kept of each step."""
+    kept = keep.func if isinstance(keep, partial) else keep
+    if not getattr(kept, "__module__", "").startswith("motes."):
+        return ""
+    name = f"{kept.__module__}.{kept.__qualname__}"
+    return repr((*rest, name, getattr(keep, "args", ()), getattr(keep, "keywords", {}), sorted(provenance().items())))
 
 
 def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | None], Iterator[History]]) -> Iterator[History]:
@@ -112,13 +136,18 @@ def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | 
         told: what tells the run from others; "" where that is not known, and nothing is kept. Asked where it matters.
         further: gives the pieces after a history, or from the beginning.
     """
+    stem = f".{path.name[:LONGEST]}."
+
     def named() -> Path | None:
         text = told()
-        return path.with_name(f".{path.name}.{hashlib.sha256(text.encode()).hexdigest()[:16]}{ENDING}") if text else None
+        return path.with_name(f"{stem}{hashlib.sha256(text.encode()).hexdigest()[:16]}{ENDING}") if text else None
 
     # to tell a run apart takes a while: most are over before
-    file, known = (named(), True) if any(path.parent.glob(f".{path.name}.*{ENDING}")) else (None, False)
-    found = [History.load(file)] if file is not None and file.exists() else []
+    there = any(path.parent.glob(f"{glob.escape(stem)}*{ENDING}"))
+    file, known = (named(), True) if there else (None, False)
+    found = [] if file is None or not file.exists() else _read(file)
+    if found:
+        _kept.add(file)  # type: ignore[arg-type]
     yield from found
     since = time.monotonic()
     for part in further(found[-1] if found else None):
@@ -131,11 +160,21 @@ def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | 
                 file.parent.mkdir(parents=True, exist_ok=True)
                 found = [joined(found)]
                 found[0].save(file)
+                _kept.add(file)
                 keeps(label(file.parent))
             since = time.monotonic()
 
 
-def forget(folder: Path) -> None:
-    """Remove what was kept of runs that are finished."""
-    for path in folder.glob(f".*{ENDING}"):
-        path.unlink(missing_ok=True)
+def _read(file: Path) -> list[History]:
+    """Read what was kept; what is damaged is begun anew."""
+    try:
+        return [History.load(file)]
+    except FileError as reason:
+        checks.warn(f"{reason} The run is begun anew.")
+        return []
+
+
+def forget() -> None:
+    """Remove what was kept of the runs of this process, once they are finished; others' may still be needed."""
+    while _kept:
+        _kept.pop().unlink(missing_ok=True)

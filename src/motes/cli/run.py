@@ -83,7 +83,7 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
     for name, figure in job.pictures(histories).items():
         running.write_figure(folder / name, figure)
     running.write_summary(folder / "summary.json", {"application": wish.application.name}, settings, found)
-    long_runs.forget(folder)
+    long_runs.forget()
     for history in histories.values():
         said = job.verdict(history)
         if said:

@@ -90,14 +90,14 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
             pieces = (long_run(seed, filters[name], job, keep, path) if long else
                       whole_run(seed, one, job, ys, inputs, keep, path))
             # what is told as it comes is told once: of the filter that the pictures show
-            history, seconds = _timed(pieces, advance, job.news if name == next(iter(worn)) else lambda pieces: ())
+            history, seconds = _timed(pieces, advance, job.news() if name == next(iter(worn)) else lambda piece: ())
             history = history if job.times is None else replace(history, times=np.asarray(job.times))
             outcomes[name] = Outcome(filters[name], history, seconds)
     return outcomes
 
 
 def _timed(
-    run: Iterator[History], advance: Callable[[int], None], news: Callable[[Sequence[History]], Sequence[str]]
+    run: Iterator[History], advance: Callable[[int], None], news: Callable[[History], Sequence[str]]
 ) -> tuple[History, float | None]:
     """Put the pieces of a run together; the median time of a step beside it."""
     pieces, times, seen = [], [], set()
@@ -113,7 +113,7 @@ def _timed(
         # where it ended goes with the last one alone: laws and measurements can be large
         pieces[-1:] = [replace(one, last=None) for one in pieces[-1:]] + [piece]
         advance(count)
-        for line in news(pieces):
+        for line in news(piece):
             print(line, flush=True)
         began = time.perf_counter()
     return joined(pieces), float(np.median(times)) if times else None

@@ -18,7 +18,6 @@ from jax.scipy.special import gammainc
 from motes.core import linalg, random
 from motes.laws.circular import wrap
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over
-from motes.laws.custom import Custom
 from motes.laws.density import among, measured_in, zeroed
 from motes.laws.observed import Observed
 
@@ -136,7 +135,7 @@ def of_cloud(key: jax.Array, sensor: Conditional, X: jax.Array, log_weights: jax
     X, log_weights = _apart((X, log_weights))
     if isinstance(sensor, AdditiveGaussian):
         return of_mixture(sensor.angles, sensor.means(X, u, t), matrix_over(sensor.Q, X, u, t), log_weights, y)
-    if isinstance(sensor, Custom) and sensor.sampler is None:
+    if not sensor.draws:
         return unknown(X.dtype)
     return _ranked(sensor, sensor.sample(random.child(key, random.MEASURE), X, u, t), log_weights, y)
 

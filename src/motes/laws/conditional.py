@@ -51,6 +51,8 @@ class Conditional(ABC):
     """Whether mean function and noise covariance are known."""
     marginalizes: bool = True
     """Whether single missing (NaN) components can be left out of the density."""
+    draws: bool = True
+    """Whether values can be drawn from it."""
     measures_anything: bool = False
     """Whether measurements may be other than vectors: arrays of any shape and type, or trees of them."""
     sensors: tuple[tuple[str, int], ...] = ()

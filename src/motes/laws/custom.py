@@ -82,6 +82,11 @@ class Custom(Conditional):
         """Whether the density can leave out missing components."""
         return self.partial
 
+    @property
+    def draws(self) -> bool:  # type: ignore[override]
+        """Whether there is a sampler."""
+        return self.sampler is not None
+
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:
         """Refuse: moments are not known."""
         checks.refuse("Custom", "a conditional with a mean and a covariance", "one with only sample and log_prob",

@@ -220,6 +220,11 @@ class SwitchingSensor(Conditional):
         return all(part.marginalizes for part in self.parts)
 
     @property
+    def draws(self) -> bool:  # type: ignore[override]
+        """Whether the sensors of all modes do."""
+        return all(part.draws for part in self.parts)
+
+    @property
     def measures_anything(self) -> bool:  # type: ignore[override]
         """Whether the sensors of all modes do."""
         return all(part.measures_anything for part in self.parts)

@@ -12,8 +12,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from motes.core.record import is_function, replace
+import numpy as np
+
+from motes.core.record import replace
 from motes.laws.conditional import Conditional
+from motes.laws.law import Law
 from motes.laws.switching import WithMode
 from motes.models.state_space import StateSpaceModel
 
@@ -25,7 +28,7 @@ def taking_mode(model: StateSpaceModel) -> StateSpaceModel:
 
 def at_mode(model: StateSpaceModel, mode: int) -> StateSpaceModel:
     """Return a model whose functions find a given mode among their inputs, whatever these are; see `taking_mode`."""
-    return _exchanged(model, partial(_AtMode, mode=mode))
+    return _exchanged(model, partial(_AtMode, mode=np.int32(mode)))
 
 
 class _TakesMode:
@@ -49,7 +52,7 @@ class _TakesMode:
 class _AtMode:
     """A function that finds the mode among its inputs, at one mode."""
 
-    def __init__(self, func: Callable[..., Any], mode: int):
+    def __init__(self, func: Callable[..., Any], mode: np.int32):
         self.func, self.mode = func, mode
 
     def __call__(self, *args: Any) -> Any:
@@ -86,6 +89,6 @@ def _exchanged(part: Any, change: Callable[[Callable[..., Any]], Any]) -> Any:
             return _exchanged(value, change)
         if isinstance(value, tuple):
             return tuple(of(each) for each in value)
-        return change(value) if is_function(value) else value
+        return change(value) if callable(value) and not isinstance(value, Law) else value
 
     return replace(part, **{field.name: of(getattr(part, field.name)) for field in dataclasses.fields(part)})

@@ -92,7 +92,7 @@ def _of_few(u: jax.Array, log_weights: jax.Array, n: int) -> Reduction:
     places = (n - jnp.sum(certain, dtype=jnp.int32)).astype(ends.dtype)
     # rounding must not leave a place empty, nor one too many
     ends = jnp.where(ends >= ends[-1], places, jnp.minimum(ends, places))
-    points = jnp.ceil(ends - u)
+    points = jnp.ceil(ends - jnp.minimum(u, 1 - 2 * places * jnp.finfo(ends.dtype).eps))
     drawn = points > jnp.concatenate([jnp.zeros(1, points.dtype), points[:-1]])
     kept = certain | (drawn & light)
     filled = exact(until, kept.astype(sizes.dtype))

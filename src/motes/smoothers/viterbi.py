@@ -22,6 +22,9 @@ from motes.laws.mode_mixture import ModeMixture
 from motes.models.jump_markov import JumpMarkovModel
 from motes.smoothers.interface import Smoothed, Smoother, Steps, ask_kind, ask_laws
 
+EPSILONS = 1000
+"""Spacings of numbers of the size of a state, as a standard deviation of which it still counts as known."""
+
 
 @record
 class Viterbi(Smoother):
@@ -78,5 +81,8 @@ class Viterbi(Smoother):
         _, earlier = jax.lax.scan(lambda mode, way: (way[mode], way[mode]), last, ways, reverse=True)
         path = jnp.concatenate([earlier, last[None]])
         certain = jnp.zeros(1, log_weights.dtype)
-        mean = jnp.where(jnp.any(history.cov != 0, axis=(1, 2))[:, None], jnp.nan, history.mean)
+        # what rounding leaves of a variance, beside the square of the state, is none
+        size = EPSILONS * jnp.finfo(log_weights.dtype).eps * jnp.max(jnp.abs(history.mean), axis=1, keepdims=True)
+        uncertain = jnp.any(jnp.diagonal(history.cov, axis1=1, axis2=2) > size**2, axis=1)
+        mean = jnp.where(uncertain[:, None], jnp.nan, history.mean)
         return Smoothed(mean, history.cov, mean[..., None], certain, modes=path[:, None])

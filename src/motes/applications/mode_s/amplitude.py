@@ -12,7 +12,8 @@ def detected(samples: np.ndarray) -> list[Message]:
     size = np.abs(samples)
     starts = _preambles(size)
     halves = size[starts[:, None] + HEAD + np.arange(2 * BITS)].reshape(-1, BITS, 2)
-    return right((int(start), judged(bits)) for start, bits in zip(starts, halves[..., 0] > halves[..., 1], strict=True))
+    found = ((int(start), judged(bits)) for start, bits in zip(starts, halves[..., 0] > halves[..., 1], strict=True))
+    return right((start, verdict) for start, verdict in found if verdict is not None)
 
 
 def _preambles(size: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The decoder of Mode S as an application: `motes demo mode_s`, and `motes run`, `motes plan` and `motes study` of its settings."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,9 +9,9 @@ import numpy as np
 
 from motes.applications.interface import Job, Score
 from motes.applications.mode_s.amplitude import detected
-from motes.applications.mode_s.messages import Message, positions, right
+from motes.applications.mode_s.messages import Message, message, once, positions, right
 from motes.applications.mode_s.model import bits, series
-from motes.applications.mode_s.parity import is_long, judged, number
+from motes.applications.mode_s.parity import Verdict, is_long, judged, number
 from motes.applications.mode_s.preambles import BITS, Preambles, find, noise_power
 from motes.applications.mode_s.recording import RATE, read_samples, write_samples
 from motes.applications.mode_s.settings import Settings
@@ -27,6 +27,7 @@ from motes.io.result_table import Table
 
 LAG = 3
 """Bits after which a bit is decided."""
+MOST_NOISE = 1e6
 AT_A_TIME = 32
 """Messages after which those that were decoded are printed."""
 
@@ -44,8 +45,8 @@ def load(settings: Settings, seed: int) -> "ModeSJob":
     """
     if not 0.3 <= settings.share < 1:
         checks.refuse("share", "at least 0.3 and below 1", settings.share)
-    if not 0 <= settings.noise < np.inf:
-        checks.refuse("noise", "a number of at least 0", settings.noise)
+    if not 0 <= settings.noise <= MOST_NOISE:
+        checks.refuse("noise", f"between 0 and {MOST_NOISE:g}", settings.noise)
     world = None if settings.data else received(seed, settings.aircraft, settings.seconds, settings.snr)
     samples = read_samples(settings.data, settings.samples) if world is None else world.samples
     if settings.noise:
@@ -88,11 +89,25 @@ class ModeSJob(Job):
         seconds = len(self.samples) / RATE
         return f"{seconds:.3g} s, {len(self.found.sample)} preambles; noise {np.sqrt(noise_power(self.samples)):.3g} rms a sample."
 
-    def news(self, pieces: Sequence[History]) -> list[str]:
-        """Spell the messages that the last piece completed."""
-        before, now = (self.decoded(some) for some in (pieces[:-1], pieces))
-        told = {one.sample for one in before}
-        return [f"{one.sample / RATE:10.6f} s  {one}" for one in now if one.sample not in told]
+    def news(self) -> Callable[[History], Sequence[str]]:
+        """Return what spells the messages that a piece completed; answers wait until a squitter has told their address."""
+        waiting: list[tuple[int, Verdict]] = []
+        known: set[int] = set()
+        rest, done = np.zeros((0, 0)), 0
+
+        def told(piece: History) -> list[str]:
+            nonlocal rest, done, waiting
+            rows = np.concatenate([rest, _ones(piece)]) if len(rest) else _ones(piece)
+            whole = len(rows) // BITS
+            verdicts = self._judged(rows[: whole * BITS], done)
+            rest, done = rows[whole * BITS :], done + whole
+            known.update(verdict.address for _, verdict in verdicts if verdict.certain)
+            both = waiting + verdicts
+            waiting = [(sample, verdict) for sample, verdict in both if verdict.address not in known]
+            right_now = [message(sample, verdict) for sample, verdict in both if verdict.address in known]
+            return [f"{one.sample / RATE:10.6f} s  {one}" for one in once(right_now)]
+
+        return told
 
     def decoded(self, pieces: Sequence[History]) -> list[Message]:
         """Return the messages that are right of those that were gone through.
@@ -103,13 +118,13 @@ class ModeSJob(Job):
         Raises:
             MotesError: the modes were not kept.
         """
-        if not pieces:
-            return []
-        kept = [np.asarray(one.delayed_mode_probabilities)[..., 1] for one in pieces]
-        ones = np.concatenate(kept)[1:]
-        whole = len(ones) // BITS
-        ones = ones[: whole * BITS].reshape(whole, BITS, -1)
-        return right((int(sample), judged(decided(row))) for sample, row in zip(self.found.sample, ones, strict=False))
+        return right(self._judged(np.concatenate([_ones(piece) for piece in pieces]), 0))
+
+    def _judged(self, rows: np.ndarray, first: int) -> list[tuple[int, Verdict]]:
+        """Judge messages by the probabilities of their bits, `(112 k, lag + 1)`, from the preamble of a number on."""
+        each = rows[: len(rows) // BITS * BITS].reshape(-1, BITS, rows.shape[1])
+        found = [(int(sample), judged(decided(ones))) for sample, ones in zip(self.found.sample[first:], each, strict=False)]
+        return [(sample, verdict) for sample, verdict in found if verdict is not None]
 
     def title(self, steps: int) -> str:
         """Return the number of preambles."""
@@ -159,6 +174,12 @@ class ModeSJob(Job):
         path = folder / "recording.bin"
         write_samples(path, self.samples, settings.samples)
         return replace(settings, data=str(path), noise=0.0)
+
+
+def _ones(piece: History) -> np.ndarray:
+    """Return the probabilities of ones of the bits in a piece; the first step of a run is none."""
+    ones = np.asarray(piece.delayed_mode_probabilities)[..., 1]
+    return ones[1:] if int(piece.start) == 0 else ones
 
 
 def decided(ones: np.ndarray) -> np.ndarray:

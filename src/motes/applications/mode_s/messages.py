@@ -51,18 +51,23 @@ class Message(NamedTuple):
         return ", ".join(told)
 
 
-def right(found: Iterable[tuple[int, Verdict | None]]) -> list[Message]:
+def right(found: Iterable[tuple[int, Verdict]]) -> list[Message]:
     """Return the messages that are right, each once, in the order of their preambles.
 
     Args:
         found: the first sample of each preamble, and what the parity says.
     """
-    verdicts = [(sample, verdict) for sample, verdict in sorted(found, key=lambda row: row[0]) if verdict is not None]
+    verdicts = sorted(found, key=lambda row: row[0])
     known = {verdict.address for _, verdict in verdicts if verdict.certain}
+    return once([message(sample, verdict) for sample, verdict in verdicts if verdict.address in known])
+
+
+def once(messages: Iterable[Message]) -> list[Message]:
+    """Return messages in the order of their preambles, of those that two preambles gave the first."""
     kept: list[Message] = []
-    for sample, verdict in verdicts:
-        if verdict.address in known and not (kept and sample - kept[-1].sample <= APART):
-            kept.append(message(sample, verdict))
+    for one in sorted(messages, key=lambda one: one.sample):
+        if not kept or one.sample - kept[-1].sample > APART:
+            kept.append(one)
     return kept
 
 
@@ -74,7 +79,8 @@ def message(sample: int, verdict: Verdict) -> Message:
         return plain._replace(altitude=_altitude(bits[19:32], 6))
     if kind in (5, 21):
         return plain._replace(squawk=_squawk(bits[19:32]))
-    return _extended(plain, bits[32:88]) if kind in (17, 18) else plain
+    # of format 18 some codes mean other fields
+    return _extended(plain, bits[32:88]) if kind == 17 or (kind == 18 and number(bits[5:8]) not in (3, 4)) else plain
 
 
 def positions(messages: Iterable[Message], rate: float) -> dict[int, tuple[float, float]]:
@@ -140,8 +146,10 @@ def _extended(plain: Message, bits: np.ndarray) -> Message:
     code = number(bits[:5])
     if 1 <= code <= 4:
         return plain._replace(callsign="".join(LETTERS[number(bits[k : k + 6])] for k in range(8, 56, 6)).strip(" #"))
-    if 9 <= code <= 18:
-        return plain._replace(altitude=_altitude(bits[8:20], None), compact=(int(bits[21]), number(bits[22:39]), number(bits[39:56])))
+    if 9 <= code <= 18 or 20 <= code <= 22:
+        # those from 20 on tell a height of satellites, in meters
+        altitude = _altitude(bits[8:20], None) if code <= 18 else None
+        return plain._replace(altitude=altitude, compact=(int(bits[21]), number(bits[22:39]), number(bits[39:56])))
     if code == 19 and number(bits[5:8]) in (1, 2):
         scale, told = (4 if number(bits[5:8]) == 2 else 1), [number(bits[sign + 1 : sign + 11]) for sign in (13, 24)]
         east, north = ((-scale if bits[sign] else scale) * (size - 1) for sign, size in zip((13, 24), told, strict=True))

@@ -23,8 +23,8 @@ def read_samples(path: str | Path, samples: str) -> np.ndarray:
     form, middle = _FORMS[samples]
     try:
         raw = np.fromfile(path, np.uint8)
-    except OSError as reason:
-        checks.refuse(f"{path}", "a file that can be read", str(reason.strerror or reason), "", checks.FileError)
+    except (OSError, ValueError) as reason:
+        checks.refuse(f"{path!r}", "a file that can be read", str(getattr(reason, "strerror", None) or reason), "", checks.FileError)
     size = 2 * form.itemsize
     count, over = divmod(len(raw), size)
     if count < LONGEST:

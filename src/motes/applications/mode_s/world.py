@@ -15,6 +15,7 @@ NOISE = 3.0
 LATEST = 0.3
 """Samples by which pulses begin after a sample at most: half-way between two of them a bit is told by its difference from the last alone,
 and 15 dB do not do."""
+MOST_AIRCRAFT = 1000
 OFFSET = 60e3
 """Standard deviation of the carriers about 1 090 MHz, hertz."""
 GAP = 600
@@ -48,9 +49,12 @@ def received(seed: int, aircraft: int, seconds: float, snr: float) -> World:
         MotesError: a number cannot be used.
     """
     checks.positive_integer("aircraft", aircraft)
+    if aircraft > MOST_AIRCRAFT:
+        checks.refuse("aircraft", f"at most {MOST_AIRCRAFT}", aircraft)
     if not 0.002 <= seconds <= 60:
         checks.refuse("seconds", "between 0.002 and 60", seconds)
-    checks.finite("snr", snr)
+    if not -30 <= snr <= 100:
+        checks.refuse("snr", "between -30 and 100 dB", snr)
     rng = np.random.default_rng(seed)
     addresses = rng.choice(2**24 - 2, aircraft, replace=False) + 1
     height = NOISE * 10 ** (snr / 20)

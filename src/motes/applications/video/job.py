@@ -302,7 +302,12 @@ def _truth(settings: Settings, world: World | None, names: Sequence[str]) -> dic
     if table:
         rows = np.stack([table[name] for name in BOX], axis=1)
         whose = table["target"] if "target" in table else [names[0]] * len(rows)
-        for name, number, row in zip(whose, table["frame"], rows, strict=True):
-            if name in found and number == int(number) and not np.isnan(row).any():
+        called = [str(int(cell)) if isinstance(cell, float) and cell == np.floor(cell) else str(cell) for cell in whose]
+        for name, number, row in zip(called, table["frame"], rows, strict=True):
+            if name in found and np.isfinite(number) and number == int(number) and not np.isnan(row).any():
                 found[name][int(number)] = row
+        if not any(found.values()):
+            told = ", ".join(sorted(set(called))[:5]) or "none"
+            wanted = f"one of {', '.join(names)}, with whole boxes"
+            checks.refuse(f"{settings.truth or 'truth'}: target", wanted, told, "", checks.FileError)
     return found
