@@ -263,3 +263,12 @@ def test_damaged_pictures_are_gaps(tmp_path):
     clip = read_topic_clip(write_bag(tmp_path / "a", "db3", {"/image": ("sensor_msgs/Image", rows)}), "/image")
     assert [one is None for one in clip.pictures()] == [False, True, True, False]
     assert Path(clip.path).name == "a" and clip.topic in repr(clip)
+
+
+def test_clocks_that_have_nothing_in_common_are_told(tmp_path):
+    """Headers of simulated time beside messages without any, which have the time at which they arrived."""
+    wall = 1.7e9
+    path = write_bag(tmp_path / "clocks.bag", "bag", {"/odom": odometry([1.0, 2.0], np.zeros((2, 3))),
+                                                      "/level": ("std_msgs/Float64", [(wall + 1, {"data": 3.0})])})  # fmt: skip
+    with pytest.raises(mo.FileError, match="one clock for .*/odom.*have headers.*/level.*Record both with the same clock"):
+        read_bag(path, {"way": "/odom", "level": "/level data"})

@@ -27,6 +27,8 @@ STARTS = (b"#ROSBAG V", b"SQLite format 3\x00", b"\x89MCAP0\r\n")
 RAW = (".db3", ".mcap")
 """Endings of files in a folder of rosbag 2."""
 NANO = 10**9
+APART = 86_400 * NANO
+"""Nanoseconds by which the times of two topics miss each other where they are of different clocks."""
 JUDGED = 30
 """Pictures by which their rate is judged."""
 
@@ -200,6 +202,7 @@ def read_bag(
                     if name not in angular:
                         angular[name] = angles(place, message, fields)
         clocks = {topic: _clock(bag, topic, np.array(found)) for topic, found in stamps.items()}
+        _ask_one_clock(bag, clocks, {topic: np.array(found) for topic, found in stamps.items()})
         start = min(int(clock[0]) for clock in clocks.values())
         found = {name: Topic(topic, bag.kind(topic), (clocks[topic] - start) / NANO, _in_one(bag, topic, rows[name]), angular[name])
                  for name, (topic, _) in asked.items()}  # fmt: skip
@@ -230,6 +233,20 @@ def _clock(bag: Bag, topic: str, stamps: np.ndarray) -> np.ndarray:
     times(chosen.astype("datetime64[ns]"), name=f"{label(bag.path)}: times of {topic}",
           rows=[f"message {number}" for number in range(1, len(chosen) + 1)])  # fmt: skip
     return chosen
+
+
+def _ask_one_clock(bag: Bag, clocks: dict[str, np.ndarray], stamps: dict[str, np.ndarray]) -> None:
+    """Refuse topics with headers and topics without any whose times have nothing in common: those of simulated time, say."""
+    kinds: dict[bool, list[str]] = {True: [], False: []}
+    for topic, found in stamps.items():
+        kinds[bool(found[:, 0].all())].append(topic)
+    if not all(kinds.values()):
+        return
+    (begin, end), (first, last) = ((min(clocks[topic][0] for topic in some), max(clocks[topic][-1] for topic in some))
+                                   for some in kinds.values())  # fmt: skip
+    if end + APART < first or last + APART < begin:
+        reject(bag.path, f"one clock for {kinds[True][0]}, whose messages have headers, and {kinds[False][0]}, whose have none",
+               f"times that are {abs(begin - first) / NANO:.3g} s apart", "Record both with the same clock.")  # fmt: skip
 
 
 def _in_one(bag: Bag, topic: str, rows: list[Any]) -> np.ndarray:

@@ -84,7 +84,15 @@ def angles(place: Place, message: Any, fields: Sequence[str]) -> tuple[int, ...]
     """Return which of the numbers that `said` gives are angles."""
     paths = fields or (() if place.kind in PICTURES else _usual(place, message))
     ends = np.cumsum([np.size(_at_path(place, message, path)) for path in paths])
-    return tuple(int(end) - 1 for path, end in zip(paths, ends, strict=True) if path.endswith(f".{YAW}"))
+    return tuple(int(end) - 1 for path, end in zip(paths, ends, strict=True) if _is_yaw(message, path))
+
+
+def _is_yaw(message: Any, path: str) -> bool:
+    """Tell whether a path ends with the yaw of a quaternion, not with a field of that name."""
+    *way, last = path.split(".")
+    for part in way:
+        message = _inner(message, part)
+    return _inner(message, last) is _yaw
 
 
 def picture(place: Place, message: Any) -> np.ndarray:
