@@ -26,12 +26,15 @@ def kept(n=4):
     return set(np.asarray(found.ancestors).tolist()), float(jnp.exp(found.log_weights).sum())
 
 
-def test_the_heaviest_are_kept():
+@pytest.mark.parametrize("paired", [0, reduction.PAIRED], ids=["sorted", "in pairs"])
+def test_the_heaviest_are_kept(paired, monkeypatch):
+    monkeypatch.setattr(reduction, "PAIRED", paired)
     places, total = kept()
     assert {6, 7, 0} <= places and abs(total - 1) < 1e-3
 
 
 def test_a_threshold_of_weights_that_underflow_would_be_found(monkeypatch):
+    monkeypatch.setattr(reduction, "PAIRED", 0)
     monkeypatch.setattr(reduction, "_log_threshold", lambda log_weights, n: jnp.asarray(-jnp.inf))
     assert kept()[1] < 0.5
 

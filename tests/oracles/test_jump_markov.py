@@ -12,6 +12,7 @@ from scipy.stats import norm
 import motes as mo
 from data import recorded
 from motes.io.tables import read_table
+from motes.resampling import reduction
 from tiers import each
 
 pytestmark = pytest.mark.jax
@@ -271,5 +272,22 @@ def test_the_path_of_modes_asks_for_known_states_and_one_component_for_each(doub
     with pytest.raises(mo.MotesError, match="states that are known, as in a hidden Markov model.*Use MixtureSmoother."):
         mo.smooth(1, mo.smoothers.Viterbi(), chained(), mixed)
     many = mo.run(0, mo.JumpMarkovFilter(n=2), mo.JumpMarkovModel(START, CHAIN, levels()), ys[:, :1], keep=mo.keep.laws)
-    with pytest.raises(mo.MotesError, match="one component for each of 3 modes, got 6. Run InteractingMultipleModel."):
+    with pytest.raises(mo.MotesError, match="one component for each of 3 modes, got 6. Use MixtureSmoother, or"):
         mo.smooth(1, mo.smoothers.Viterbi(), mo.JumpMarkovModel(START, CHAIN, levels()), many)
+
+
+def test_few_and_many_hypotheses_are_brought_down_alike(monkeypatch):
+    """By sums over pairs and by sorting: the same ancestors and weights, with ties and without weight."""
+    rng = np.random.default_rng(0)
+    both = {paired: jax.jit(lambda key, log_weights, n=6: reduction.reduced(key, log_weights, n)) for paired in (0, reduction.PAIRED)}
+    for trial in range(60):
+        log_weights = rng.normal(size=12) * rng.choice([0.1, 1.0, 10.0, 60.0])
+        log_weights = np.round(log_weights) if trial % 3 == 0 else log_weights
+        log_weights[: trial % 8] = -np.inf
+        found = {}
+        for paired, reduced in both.items():
+            monkeypatch.setattr(reduction, "PAIRED", paired)
+            found[paired] = reduced(jax.random.key(trial), jnp.asarray(log_weights - logsumexp(log_weights), jnp.float32))
+        one, two = found.values()
+        assert np.array_equal(one.ancestors, two.ancestors) and np.allclose(one.log_weights, two.log_weights, atol=1e-4)
+        assert abs(float(jnp.exp(one.log_weights).sum()) - 1) < 1e-5

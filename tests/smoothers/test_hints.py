@@ -58,7 +58,7 @@ SAMPLED = replace(linear(), dynamics=mo.Custom(sample=lambda key, x, u, t: x + j
 
 
 @pytest.mark.parametrize(("filter", "model", "works"), [
-    (mo.InteractingMultipleModel(), MODES, {"MixtureSmoother"}),
+    (mo.InteractingMultipleModel(), MODES, {"MixtureSmoother", "Viterbi"}),
     (mo.JumpMarkovFilter(n=9, sampled="a"), MODES, {"MixtureSmoother"}),
     (mo.ParticleFilter(n=9), MODES.as_state_space(), {"BackwardSimulationSmoother", "GenealogySmoother"}),
     (mo.ParticleFilter(n=9), SAMPLED, {"GenealogySmoother"}),

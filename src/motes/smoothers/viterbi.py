@@ -56,7 +56,7 @@ class Viterbi(Smoother):
         law: ModeMixture = history.law
         if law.log_weights.shape[-1] != model.count:
             checks.refuse("Viterbi history", f"one component for each of {model.count} modes", law.log_weights.shape[-1],
-                          "Run InteractingMultipleModel.")  # fmt: skip
+                          "Use MixtureSmoother, or run InteractingMultipleModel.")  # fmt: skip
         return model
 
     def smooth(self, key: jax.Array, model: JumpMarkovModel, history: History, steps: Steps) -> Smoothed:
