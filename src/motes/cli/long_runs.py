@@ -8,7 +8,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,7 @@ END = object()
 """In place of a measurement after the last one."""
 
 _kept: set[Path] = set()
+"""Files of the runs of this process, to be removed once they are finished."""
 
 
 def long_run(seed: int, filter: Filter, job: Job, keep: Keep, path: Path) -> Iterator[History]:
@@ -138,16 +139,14 @@ def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | 
     """
     stem = f".{path.name[:LONGEST]}."
 
+    @cache
     def named() -> Path | None:
         text = told()
         return path.with_name(f"{stem}{hashlib.sha256(text.encode()).hexdigest()[:16]}{ENDING}") if text else None
 
     # to tell a run apart takes a while: most are over before
     there = any(path.parent.glob(f"{glob.escape(stem)}*{ENDING}"))
-    file, known = (named(), True) if there else (None, False)
-    found = [] if file is None or not file.exists() else _read(file)
-    if found:
-        _kept.add(file)  # type: ignore[arg-type]
+    found = _read(named()) if there else []
     yield from found
     since = time.monotonic()
     for part in further(found[-1] if found else None):
@@ -155,7 +154,7 @@ def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | 
         yield part
         found[-1:] = [replace(one, last=None) for one in found[-1:]] + [part]
         if time.monotonic() - since > EVERY:
-            file, known = (file, True) if known else (named(), True)
+            file = named()
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 found = [joined(found)]
@@ -165,13 +164,17 @@ def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | 
             since = time.monotonic()
 
 
-def _read(file: Path) -> list[History]:
-    """Read what was kept; what is damaged is begun anew."""
+def _read(file: Path | None) -> list[History]:
+    """Read what was kept, if there is something; what is damaged is begun anew."""
+    if file is None or not file.exists():
+        return []
     try:
-        return [History.load(file)]
+        found = [History.load(file)]
     except FileError as reason:
         checks.warn(f"{reason} The run is begun anew.")
         return []
+    _kept.add(file)
+    return found
 
 
 def forget() -> None:

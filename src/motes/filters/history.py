@@ -13,6 +13,7 @@ from motes.core.logspace import RunningSum
 from motes.core.record import record, replace, static
 from motes.filters.history_files import check_forms, recorded
 from motes.filters.info import Info
+from motes.filters.keep import after_lag
 from motes.io import archive
 from motes.laws.observed import Observed
 from motes.laws.spelled import UnspelledError, restored, spelled
@@ -144,9 +145,7 @@ class History:
         checks.natural("mode_probabilities_after lag", lag)
         if lag >= kept.shape[1]:
             checks.refuse("mode_probabilities_after lag", f"at most {kept.shape[1] - 1}, as was kept", lag)
-        steps = np.arange(kept.shape[0])
-        seen = np.minimum(steps + lag, steps[-1])
-        return kept[seen, seen - steps]
+        return after_lag(kept, lag)
 
     @property
     def law(self) -> Any:

@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 import jax
+import numpy as np
 
 from motes.core import checks
 from motes.laws.cloud import Cloud
@@ -68,6 +69,18 @@ def modes(law: Any = None, count: int = 0, lag: int = 0) -> Any:
             checks.refuse("keep.modes lag", "a filter that remembers modes, such as JumpMarkovFilter(n=30, lag=4)", lag)
         kept["delayed_mode_probabilities"] = delayed[: lag + 1]
     return kept
+
+
+def after_lag(delayed: Any, lag: int) -> Any:
+    """Return the series `(t, ...)` of what each row is known to be `lag` rows later; the last rows have fewer after them.
+
+    Args:
+        delayed: of each row what is known of it and of those before, the newest first, `(t, lag + 1, ...)` or more.
+        lag: number of rows.
+    """
+    rows = np.arange(delayed.shape[0])
+    seen = np.minimum(rows + lag, delayed.shape[0] - 1)
+    return delayed[seen, seen - rows]
 
 
 def clusters(law: Any, count: int = 4) -> dict[str, jax.Array]:

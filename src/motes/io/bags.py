@@ -201,8 +201,7 @@ def read_bag(
                     rows[name].append(said(place, message, fields))
                     if name not in angular:
                         angular[name] = angles(place, message, fields)
-        clocks = {topic: _clock(bag, topic, np.array(found)) for topic, found in stamps.items()}
-        _ask_one_clock(bag, clocks, {topic: np.array(found) for topic, found in stamps.items()})
+        clocks = _clocks(bag, {topic: np.array(found) for topic, found in stamps.items()})
         start = min(int(clock[0]) for clock in clocks.values())
         found = {name: Topic(topic, bag.kind(topic), (clocks[topic] - start) / NANO, _in_one(bag, topic, rows[name]), angular[name])
                  for name, (topic, _) in asked.items()}  # fmt: skip
@@ -226,27 +225,23 @@ def _stamp(message: Any) -> int:
     return 0 if stamp is None else int(stamp.sec) * NANO + int(stamp.nanosec)
 
 
-def _clock(bag: Bag, topic: str, stamps: np.ndarray) -> np.ndarray:
-    """Return the times of a topic in nanoseconds, from those of headers and of arrival `(t, 2)`."""
+def _clocks(bag: Bag, stamps: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the times of topics in nanoseconds, from those of headers and of arrival `(t, 2)`."""
     # two clocks in one topic would make steps that nobody took
-    chosen = stamps[:, 0] if stamps[:, 0].all() else stamps[:, 1]
-    times(chosen.astype("datetime64[ns]"), name=f"{label(bag.path)}: times of {topic}",
-          rows=[f"message {number}" for number in range(1, len(chosen) + 1)])  # fmt: skip
-    return chosen
-
-
-def _ask_one_clock(bag: Bag, clocks: dict[str, np.ndarray], stamps: dict[str, np.ndarray]) -> None:
-    """Refuse topics with headers and topics without any whose times have nothing in common: those of simulated time, say."""
-    kinds: dict[bool, list[str]] = {True: [], False: []}
-    for topic, found in stamps.items():
-        kinds[bool(found[:, 0].all())].append(topic)
-    if not all(kinds.values()):
-        return
-    (begin, end), (first, last) = ((min(clocks[topic][0] for topic in some), max(clocks[topic][-1] for topic in some))
-                                   for some in kinds.values())  # fmt: skip
-    if end + APART < first or last + APART < begin:
-        reject(bag.path, f"one clock for {kinds[True][0]}, whose messages have headers, and {kinds[False][0]}, whose have none",
-               f"times that are {abs(begin - first) / NANO:.3g} s apart", "Record both with the same clock.")  # fmt: skip
+    by_header = {topic: bool(found[:, 0].all()) for topic, found in stamps.items()}
+    clocks = {topic: found[:, 0 if by_header[topic] else 1] for topic, found in stamps.items()}
+    for topic, chosen in clocks.items():
+        times(chosen.astype("datetime64[ns]"), name=f"{label(bag.path)}: times of {topic}",
+              rows=[f"message {number}" for number in range(1, len(chosen) + 1)])  # fmt: skip
+    headed, bare = ([topic for topic in stamps if by_header[topic] is kind] for kind in (True, False))
+    if headed and bare:
+        # those of simulated time, say
+        (begin, end), (first, last) = ((min(clocks[topic][0] for topic in some), max(clocks[topic][-1] for topic in some))
+                                       for some in (headed, bare))  # fmt: skip
+        if end + APART < first or last + APART < begin:
+            reject(bag.path, f"one clock for {headed[0]}, whose messages have headers, and {bare[0]}, whose have none",
+                   f"times that are {abs(begin - first) / NANO:.3g} s apart", "Record both with the same clock.")  # fmt: skip
+    return clocks
 
 
 def _in_one(bag: Bag, topic: str, rows: list[Any]) -> np.ndarray:

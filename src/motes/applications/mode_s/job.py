@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,11 @@ class ModeSJob(Job):
     found: Preambles
     sent: tuple[tuple[int, np.ndarray], ...]
 
+    @cached_property
+    def by_amplitude(self) -> list[Message]:
+        """The right messages that magnitudes alone give."""
+        return detected(self.samples)
+
     def pieces(
         self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int, after: History | None = None
     ) -> Iterator[History]:
@@ -132,7 +138,7 @@ class ModeSJob(Job):
 
     def scores(self, history: History) -> tuple[Score, ...]:
         """Count the messages, beside those that magnitudes alone give."""
-        ours, usual = self.decoded([history]), detected(self.samples)
+        ours, usual = self.decoded([history]), self.by_amplitude
         found = {"messages": len(ours), "by amplitude": len(usual), "lost of these": len(_lacking(usual, ours))}
         if self.sent:
             bits_sent = {(number(bits), len(bits)) for _, bits in self.sent}
@@ -188,12 +194,10 @@ def decided(ones: np.ndarray) -> np.ndarray:
     Args:
         ones: probabilities of ones, `(112, lag + 1)`, those of the last bits at each bit.
     """
-    place, lag = np.arange(BITS), ones.shape[1] - 1
-    for count in (BITS, BITS // 2):
-        seen = np.minimum(place + lag, count - 1)
-        bits = np.where(place < count, ones[seen, np.maximum(seen - place, 0)], 0) > 0.5
-        if is_long(bits):
-            break
+    bits = keeping.after_lag(ones, ones.shape[1] - 1) > 0.5
+    if not is_long(bits):
+        half = BITS // 2
+        bits = np.append(keeping.after_lag(ones[:half], ones.shape[1] - 1) > 0.5, np.zeros(half, bool))
     return bits
 
 

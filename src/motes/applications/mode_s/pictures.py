@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from motes.applications.mode_s.amplitude import detected
 from motes.applications.mode_s.preambles import BITS, HEAD, noise_power
 from motes.filters.history import History
+from motes.filters.keep import after_lag
 from motes.plotting.figures import ESTIMATE, INERTIAL, OTHER, legend_below, new_figure, tidy
 
 
@@ -25,7 +25,7 @@ def message_figure(history: History, job: Any) -> Any:
     for one in axes.values():
         tidy(one)
     messages, found = job.decoded([history]), job.found
-    ours, usual = ({one.sample for one in some} for some in (messages, detected(job.samples)))
+    ours, usual = ({one.sample for one in some} for some in (messages, job.by_amplitude))
     decibels = 10 * np.log10(np.abs(found.amplitude) ** 2 / noise_power(job.samples))
     by_amplitude = np.array([any(abs(sample - other) <= 4 for other in usual) for sample in found.sample], bool)
     by_filter = np.array([sample in ours for sample in found.sample], bool)
@@ -47,9 +47,8 @@ def message_figure(history: History, job: Any) -> Any:
         axes["pulses"].set(title=f"The weakest message: {message} ({decibels[row]:.1f} dB)", ylabel="magnitude")
         ones = np.asarray(history.delayed_mode_probabilities)[1 + row * BITS : 1 + (row + 1) * BITS, :, 1]
         place = np.arange(count)
-        seen = np.minimum(place + ones.shape[1] - 1, count - 1)
         axes["bits"].plot(8 + place + 0.5, message.bits, "s", color=OTHER, markersize=4, label="bit")
-        axes["bits"].plot(8 + place + 0.5, ones[seen, seen - place], ".", color=ESTIMATE, label="probability of a one")
+        axes["bits"].plot(8 + place + 0.5, after_lag(ones[:count], ones.shape[1] - 1), ".", color=ESTIMATE, label="probability of a one")
         axes["bits"].set(ylabel="bit", xlabel="microseconds after the preamble began", ylim=(-0.15, 1.15))
         axes["pulses"].sharex(axes["bits"])
         axes["bits"].legend(loc="center right", frameon=True, framealpha=0.9, fontsize=8)

@@ -55,12 +55,12 @@ def find(samples: np.ndarray, least_share: float) -> Preambles:
         samples: complex, `(t,)`.
         least_share: see `Settings`.
     """
-    count = max(len(samples) - LONGEST + 1, 0)
+    count, least = max(len(samples) - LONGEST + 1, 0), LEAST * noise_power(samples)
     power = np.abs(samples) ** 2
     total = np.convolve(power, np.ones(HEAD), "valid")[:count]
     # a fit explains no more than lies in the samples that its pulses reach
     reached = sum(power[k : k + count] + power[k + 1 : k + 1 + count] for k in PULSES)
-    strong = np.flatnonzero((reached > least_share * total) & (reached > LEAST * noise_power(samples)))
+    strong = np.flatnonzero((reached > least_share * total) & (reached > least))
     fits = [_explained(samples[strong[:, None] + np.arange(HEAD)], shift) for shift in SHIFTS]
     energy = np.stack([fit[0] for fit in fits])
     best, rows = energy.argmax(axis=0), np.arange(len(strong))
@@ -69,7 +69,7 @@ def find(samples: np.ndarray, least_share: float) -> Preambles:
     share = np.zeros(count + 2)
     share[strong + 1] = energy / np.maximum(total[strong], np.finfo(np.float32).tiny)
     here = share[strong + 1]
-    kept = (here > least_share) & (energy > LEAST * noise_power(samples)) & (here >= share[strong]) & (here >= share[strong + 2])
+    kept = (here > least_share) & (energy > least) & (here >= share[strong]) & (here >= share[strong + 2])
     excess = (total[strong] - energy) / HEAD
     return Preambles(*(column[kept] for column in (strong, SHIFTS[best], amplitude, turn, here, excess)))
 

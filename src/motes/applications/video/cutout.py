@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.video.frames import colour_table
+from motes.applications.video.frames import colour_place, colour_table, still_channels
 from motes.applications.video.target import Target
 from motes.laws.custom import Custom
 from motes.models.state_space import StateSpaceModel
@@ -47,12 +47,12 @@ def cut_out(target: Target, picture: np.ndarray) -> StateSpaceModel:
             )
             shown = jnp.where((inside_rows[:, None] & inside_columns)[..., None], patch[row[:, None], column], ground)
             shown = jnp.clip(shown + NOISE * jax.random.normal(key, shown.shape), 0, 255).astype(jnp.int32)
-            red, green, blue = jnp.moveaxis(shown, 2, 0)
-            grey = (red + green + blue) // 3
+            planes = jnp.moveaxis(shown, 2, 0)
+            grey, *opponent = still_channels(planes)
             moved = jnp.abs(grey - jnp.sum(ground, axis=2).astype(jnp.int32) // 3)
-            channels = jnp.stack([grey, red - green, blue - (red + green) // 2, moved])
+            channels = jnp.stack([grey, *opponent, moved])
             sums = jnp.pad(jnp.cumsum(jnp.cumsum(channels, axis=1), axis=2), ((0, 0), (1, 0), (1, 0)))
-            return {"bins": table[(red >> 3 << 10) | (green >> 3 << 5) | (blue >> 3)], "sums": sums.astype(jnp.int32)}
+            return {"bins": table[colour_place(planes)], "sums": sums.astype(jnp.int32)}
 
         return jax.vmap(one, (0, -1), -1)(jax.random.split(key, X.shape[1]), look.boxes(X, memory))
 

@@ -54,16 +54,26 @@ def steps_alone(ys: Sequence[Any], stride: int) -> Iterator[Any]:
 
 def _one_measured(picture: np.ndarray, before: np.ndarray | None) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the measurement of a picture, and its brightness for the next one."""
-    planes = np.ascontiguousarray(np.moveaxis(picture, 2, 0))
-    red, green, blue = planes.astype(np.int16)
-    grey = (red + green + blue) // 3
+    planes = np.ascontiguousarray(np.moveaxis(picture, 2, 0)).astype(np.int16)
+    grey, *opponent = still_channels(planes)
     moved = np.zeros_like(grey) if before is None else np.abs(grey - before)
-    channels = np.stack([grey, red - green, blue - (red + green) // 2, moved])
+    channels = np.stack([grey, *opponent, moved])
     sums = np.zeros((len(channels), grey.shape[0] + 1, grey.shape[1] + 1), np.int32)
     np.cumsum(channels, axis=2, dtype=np.int32, out=sums[:, 1:, 1:])
     np.cumsum(sums, axis=1, out=sums)
-    coarse = (planes >> 3).astype(np.uint16)
-    return {"bins": colour_table().take((coarse[0] << 10) | (coarse[1] << 5) | coarse[2]), "sums": sums}, grey
+    return {"bins": colour_table().take(colour_place(planes)), "sums": sums}, grey
+
+
+def still_channels(planes: Any) -> tuple[Any, Any, Any]:
+    """Return the channels that one picture has alone, of its planes red, green and blue, whole numbers of 16 bits or more."""
+    red, green, blue = planes
+    return (red + green + blue) // 3, red - green, blue - (red + green) // 2
+
+
+def colour_place(planes: Any) -> Any:
+    """Return the places of pixels in `colour_table`; see `still_channels`."""
+    red, green, blue = planes
+    return (red >> 3 << 10) | (green >> 3 << 5) | (blue >> 3)
 
 
 @cache

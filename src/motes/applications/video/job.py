@@ -56,8 +56,7 @@ def load(settings: Settings, seed: int) -> "VideoJob":
         MotesError: a setting cannot be used.
     """
     for name in ("frame", "frames"):
-        if getattr(settings, name) < 0:
-            checks.refuse(name, "a whole number of at least 0", getattr(settings, name))
+        checks.natural(name, getattr(settings, name))
     for cue in settings.cues:
         checks.option("cues", cue, CUES)
     if not settings.cues:
@@ -218,7 +217,7 @@ class VideoJob(Job):
 
     def title(self, steps: int) -> str:
         """Return how many pictures and targets there were."""
-        return f"{steps} pictures" if len(self.targets) == 1 else f"{steps} pictures, {len(self.targets)} targets; means over both"
+        return f"{steps} pictures" if len(self.targets) == 1 else f"{steps} pictures, {len(self.targets)} targets; means over all"
 
     def scores(self, history: History) -> tuple[Score, ...]:
         """Judge a run by the true boxes, where they are known, and by its own score."""
