@@ -452,7 +452,7 @@ def changes(job):
 @pytest.mark.optimized
 @pytest.mark.parametrize("name", ["clean", "bar", "light", "twin"])
 def test_the_car_is_followed(name):
-    """Twenty seeds: means, and the score under the bar and elsewhere; once in sixty seeds it fell to no more than -0.685."""
+    """Twenty seeds: means, and the score under the bar and elsewhere."""
     settings = Settings(data=str(recorded("video/car-detection.mp4")), truth=str(recorded("video/car-detection_red_car_gt.csv")), **CAR)
     ys, off, shared, under, elsewhere = None, [], [], [], []
     for seed in range(20):
@@ -465,11 +465,11 @@ def test_the_car_is_followed(name):
         found, true = job.targets[0].found(history), np.array([job.targets[0].boxes[CAR["frame"] + step] for step in range(len(ys))])
         off.append(np.hypot(*(found[:, :2] + found[:, 2:] / 2 - true[:, :2] - true[:, 2:] / 2).T)[seen].mean())
         shared.append(overlap(found, true)[seen].mean())
-        under.append(job.targets[0].score_of(history)[BAR])
+        under.append(job.targets[0].score_of(history)[BAR].max())
         elsewhere.append(np.delete(job.targets[0].score_of(history), np.arange(len(ys))[BAR]).min())
     assert np.mean(off) <= 8 and np.mean(shared) >= (0.85 if name == "clean" else 0.83), (off, shared)
     assert min(shared) > 0.7 and min(elsewhere) > LOST, "none is lost"
-    assert name != "bar" or (np.mean(np.array(under) < LOST) >= 0.95 and np.max(under) < min(elsewhere) - 0.1), under
+    assert name != "bar" or max(under) < LOST, under
 
 
 PEAK = """
