@@ -20,6 +20,9 @@ from motes.applications.video.model import Look, sides
 
 FIRST, LATER = (64, 160), (16, 48)
 """Boxes on the target and beside it, of the first picture and of each later one."""
+BARE = 16
+"""Boxes with nothing in them, all of whose features are 0, among those beside the target in the first picture: what may hide it is often
+as bare as a wall, and shown nowhere in that picture."""
 RECENT = 8
 """Later pictures that are remembered."""
 OLD = 0.5
@@ -46,7 +49,7 @@ def first_memory(key: jax.Array, look: Look, y: Any, start: jax.Array, aspect: j
         aspect: width of the target over its height, `()`.
     """
     box = {"aspect": aspect}
-    found = _examples(key, look, y, start, box, FIRST)
+    found = _examples(key, look, y, start, box, FIRST).at[:, -BARE:].set(0)
     later = jnp.zeros((found.shape[0], RECENT, sum(LATER)), found.dtype)
     memory = {"first": found, "later": later, "learned": jnp.int32(0), "score": jnp.ones((), found.dtype), "seen": start, **box,
               **dict.fromkeys(("colour", "original", "recent"), histograms(y["bins"], look.boxes(start[:, None], box))[0])}  # fmt: skip
