@@ -48,14 +48,15 @@ test-native: $(STAMP)
 	@XLA_FLAGS="$$($(BIN)/python tests/quick.py)" MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized" $(NATIVE)
 	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup -m optimized $(NATIVE)
 
-# the contract, traced programs and the native engine once more, on the newest Python that is here and the newest JAX for it
+# the contract, traced programs and kernels once more, on the newest Python that is here and the newest JAX for it
+KERNELS := tests/native/test_blocks.py tests/native/test_translate.py tests/native/test_math.py
 test-newest:
 	@newest=$$($(PYTHON) tests/newest.py) && if [ -z "$$newest" ]; then \
 		echo "test-newest: no Python 3.12 or newer on this machine, nothing tested"; \
 	else \
 		$(MAKE) --no-print-directory setup VENV=$(NEWEST) PYTHON="$$newest" EXTRAS=test && \
 		export XLA_FLAGS="$$($(NEWEST)/bin/python tests/quick.py)" && \
-		$(NEWEST)/bin/python -m pytest -n 2 --dist loadgroup -m "not optimized" tests/contract tests/native tests/tracing; \
+		$(NEWEST)/bin/python -m pytest -n 2 --dist loadgroup -m "not optimized" tests/contract tests/tracing $(KERNELS); \
 	fi
 
 lint: $(STAMP)

@@ -1,6 +1,7 @@
 """The library's own filters are asked what `mo.testing.check_filter` asks of anyone's. Filters are discovered; see discovery.py."""
 
 import inspect
+import os
 from functools import lru_cache
 
 import jax
@@ -29,6 +30,9 @@ BY_DAY = {"answers": OWN, "form": set(FILTERS), "value": set(FILTERS), "likeliho
           **dict.fromkeys(("stream", "checkpoint", "cut"), KINDS | {"ParticleFilter"}),
           **dict.fromkeys(("unmeasured", "vmapped", "inflation", "smallest", "eager", "derivative"), FEW)}  # fmt: skip
 """Filters that are asked a rule by day, all others being asked by night; of rules not named here, those of `CLASSES`."""
+FUSED = {"ParticleFilter", "MarginalizedParticleFilter", "RegularizedParticleFilter", "KalmanParticleKernelFilter"}
+"""Filters whose stages are native kernels; between such kernels the others run the same programs whatever the engine is called."""
+NATIVE = os.environ.get("MOTES_ENGINE") == "native"
 ONE_STATE = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,), "size": 1}
 """Parameters in place of those for two states."""
 
@@ -40,7 +44,7 @@ def questions():
         for name, filter in FILTERS.items():
             for precision in ("float32", "float64"):
                 # that laws have their form in both is a rule of its own
-                late = name not in day or precision == "float64"
+                late = name not in day or precision == "float64" or (NATIVE and rule.exact and name not in FUSED)
                 # the native engine works in single precision, on clouds
                 jax_alone = precision == "float64" or "n" not in values(filter)
                 marks = [*[pytest.mark.night] * late, *[pytest.mark.jax] * jax_alone, *[pytest.mark.optimized] * rule.exact]

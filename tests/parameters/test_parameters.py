@@ -99,9 +99,8 @@ def test_every_step_is_renewed_equally_often():
     assert np.abs(counts / 5_000 - 4 / 15).max() < 4.9 * np.sqrt(4 / 15 * 11 / 15 / 5_000)
 
 
-@pytest.mark.parametrize("paths", [
-    parameters.ParticleGibbs(15), pytest.param(parameters.RaoBlackwellizedParticleGibbs(1), marks=pytest.mark.night)],
-                         ids=["plain", "marginalized"])  # fmt: skip
+@pytest.mark.night
+@pytest.mark.parametrize("paths", [parameters.ParticleGibbs(15), parameters.RaoBlackwellizedParticleGibbs(1)], ids=["plain", "marginalized"])
 def test_particle_gibbs(exact, paths):
     chains = mo.sample(0, mcmc.Cycle([paths, GIBBS.kernels[1]]), PATHS, PATHS.start, draws=2_000, chains=8, burn_in=200)
     close(chains.positions["theta"], exact)

@@ -107,7 +107,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", each(list(CASES), {"singular noise", "drawn"}))
+@pytest.mark.parametrize("name", each(list(CASES), {"singular noise", "drawn", "joined"}))
 def test_modes_and_states_are_those_of_all_paths(name):
     """Missing measurements, a chain that depends on inputs and time; level 1e-6 per case, with the allowance of its line for 1 / n."""
     smoother, filter, model, singular, allowed = CASES[name]
