@@ -100,7 +100,8 @@ def test_every_step_is_renewed_equally_often():
 
 
 @pytest.mark.night
-@pytest.mark.parametrize("paths", [parameters.ParticleGibbs(15), parameters.RaoBlackwellizedParticleGibbs(1)], ids=["plain", "marginalized"])
+@pytest.mark.parametrize("paths", [parameters.ParticleGibbs(15), parameters.RaoBlackwellizedParticleGibbs(1)],
+                         ids=lambda paths: type(paths).__name__)  # fmt: skip
 def test_particle_gibbs(exact, paths):
     chains = mo.sample(0, mcmc.Cycle([paths, GIBBS.kernels[1]]), PATHS, PATHS.start, draws=2_000, chains=8, burn_in=200)
     close(chains.positions["theta"], exact)
