@@ -27,7 +27,7 @@ FEW = first_of_kinds(FILTERS, lambda filter: filter.look_ahead)
 OWN = {name for name in CLASSES if not shares_stages(name)}
 BY_DAY = {"answers": OWN, "form": set(FILTERS), "value": set(FILTERS), "likelihood": KINDS,
           **dict.fromkeys(("missing", "weights", "fewest"), KINDS),
-          **dict.fromkeys(("stream", "checkpoint", "cut"), KINDS | {"ParticleFilter"}),
+          "stream": KINDS | {"ParticleFilter"}, **dict.fromkeys(("checkpoint", "cut"), FEW | {"ParticleFilter", "PointMassFilter"}),
           **dict.fromkeys(("unmeasured", "vmapped", "inflation", "smallest", "eager", "derivative"), FEW)}  # fmt: skip
 """Filters that are asked a rule by day, all others being asked by night; of rules not named here, those of `CLASSES`."""
 FUSED = {"ParticleFilter", "MarginalizedParticleFilter", "RegularizedParticleFilter", "KalmanParticleKernelFilter"}
