@@ -32,3 +32,8 @@ def experiment(runs=10, seed=3, filters=None, **changes):
 
 def wrong_kind():
     return 3
+
+
+def many(runs):
+    """For other processes, which hand over words."""
+    return experiment(runs=int(runs))

@@ -82,16 +82,11 @@ def test_order_of_completion_changes_no_bit(result):
     assert mo.study(FACTORY, executor=Backwards(15), chunk=2) == result
 
 
+@pytest.mark.night
 def test_other_processes_give_the_same_bits(result, tmp_path):
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         assert mo.study(FACTORY, store=tmp_path, executor=pool, chunk=3) == result
     assert mo.studies.StudyResult.load(tmp_path) == result
-
-
-def test_dask_gives_the_same_bits(result):
-    distributed = pytest.importorskip("distributed")
-    with distributed.Client(processes=False, n_workers=1, threads_per_worker=2, dashboard_address=None) as client:
-        assert mo.study(FACTORY, executor=client, chunk=4) == result
 
 
 def test_batches_of_an_accelerator_do_not_depend_on_chunks(result):

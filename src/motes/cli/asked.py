@@ -77,6 +77,8 @@ class Study:
         runs: how many.
         seed: of all runs, and of a world that is made up.
         n: number of particles of all filters that have particles; their own if not given.
+        scheduler: address of a Dask scheduler whose workers do the runs, such as tcp://host:8786; this process if not given. They read the
+            same files, under the same names.
         out: folder in which runs and results are kept.
     """
 
@@ -84,6 +86,7 @@ class Study:
     runs: int = 100
     seed: int = 0
     n: int | None = None
+    scheduler: str = ""
     out: str = field(default="out", metadata={"path": True})
 
 

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -11,6 +12,7 @@ from motes.core import checks, engine
 from motes.core.settings import for_another_process, in_force
 from motes.core.watchdog import watched
 from motes.core.workers import Workers
+from motes.studies.executors import WINDOW, absences, check_executor, result_of
 from motes.studies.experiment import Experiment
 from motes.studies.identity import of_filters, of_world
 from motes.studies.result import StudyResult, notes_of
@@ -38,7 +40,8 @@ def study(
     store lets a study that was stopped or killed go on where it was, and take further runs or filters without touching those it has.
 
     Args:
-        experiment: what to run; or, for an executor of other processes, the name "module:function" of a function that makes it.
+        experiment: what to run; or, for an executor of other processes, the name "module:function" of a function that makes it, and after
+            a space the words that it is called with, as a shell would take them.
         store: folder to keep the runs in as they come; None keeps them in memory.
         executor: what has `submit(function, *arguments)` and gives futures with `result`, `cancel` and `add_done_callback`, such as a
             `concurrent.futures.ProcessPoolExecutor` that spawns its processes, or a Dask `Client`; None for threads of this process, one
@@ -56,7 +59,7 @@ def study(
     if not isinstance(plan, Experiment):
         checks.refuse("study experiment", "an Experiment, or the name of a function that makes one, 'module:function'", type(plan).__name__)
     if executor is not None:
-        _check_executor(experiment, executor)
+        check_executor(experiment, executor)
     width = batch_width()  # 1 on a CPU
     chunk = (CHUNK if width == 1 else width) if chunk is None else chunk
     checks.positive_integer("study chunk", chunk)
@@ -71,7 +74,8 @@ def study(
         try:
             with _watched(plan, tasks, store, executor is None) as seen, _bar(plan, tasks, progress) as drawn:
                 with _workers(experiment, work, executor, width) as submit:
-                    _work_off(tasks, submit, pending, kept, lambda runs: (seen(runs), drawn(runs)))
+                    gone = absences(executor)
+                    _work_off(tasks, submit, pending, kept, lambda runs: (seen(runs), drawn(runs), gone()))
         except KeyboardInterrupt:
             with suppress(KeyboardInterrupt):  # a second Ctrl-C ends the saving
                 for block in _done(pending, work):
@@ -79,18 +83,6 @@ def study(
             raise KeyboardInterrupt(_how_to_go_on(plan, kept, store, chunk)) from None
         labels = {name: repr(plan.assumed(name)[0]) for name in plan.filters}
         return StudyResult.read(kept, list(plan.filters), plan.runs, notes | {"labels": labels})
-
-
-def _check_executor(experiment: Any, executor: Any) -> None:
-    if not callable(getattr(executor, "submit", None)):
-        checks.refuse("study executor", "what has submit(function, *arguments), such as a ProcessPoolExecutor", type(executor).__name__)
-    if not isinstance(experiment, str):
-        checks.refuse("study experiment", "the name of a function that makes it, 'module:function', where an executor is given",
-                      type(experiment).__name__, "Functions of a model cannot travel to other processes.")
-    context = getattr(executor, "_mp_context", None)
-    if context is not None and context.get_start_method() == "fork":
-        checks.refuse("study executor", "processes that are spawned", "forked ones, in which JAX hangs",
-                      "Give ProcessPoolExecutor mp_context=multiprocessing.get_context('spawn').")
 
 
 def _missing(plan: Experiment, kept: Store | Memory, chunk: int) -> list[Task]:
@@ -128,15 +120,21 @@ def _work_off(
     tasks: list[Task], submit: Callable[..., Any], pending: dict[Any, Task], kept: Store | Memory, advance: Callable[[int], object]
 ) -> None:
     finished: SimpleQueue[Any] = SimpleQueue()
-    try:
-        for task in tasks:
+    coming = iter(tasks)
+
+    def hand_out(count: int) -> None:
+        for task in islice(coming, count):
             future = submit(*task)
             pending[future] = task
             future.add_done_callback(finished.put)
+
+    try:
+        hand_out(WINDOW)
         while pending:
             future = finished.get()
             part, start, stop = pending.pop(future)
-            kept.put(part, start, stop, future.result())
+            hand_out(1)
+            kept.put(part, start, stop, result_of(future))
             advance(stop - start if part != TRUTH else 0)
     finally:
         for future in pending:

@@ -9,6 +9,7 @@ away.
 """
 
 import importlib
+import shlex
 import threading
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -142,18 +143,19 @@ def _errors_of_blocks(
 
 
 def built(factory: str) -> Experiment:
-    """Return the experiment that a function gives, named "module:function".
+    """Return the experiment that a function gives, named "module:function", called with the words after its name.
 
     Raises:
         MotesError: there is no such function, or it gives something else.
     """
-    module, _, name = factory.partition(":")
+    called, *words = shlex.split(factory) or [""]
+    module, _, name = called.partition(":")
     try:
         function = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as reason:
         checks.refuse("study experiment", "an experiment, or the name of a function that makes one, such as 'radar:experiment'",
                       repr(factory), f"({reason})")
-    experiment = function()
+    experiment = function(*words)
     if not isinstance(experiment, Experiment):
         checks.refuse(f"study experiment {factory!r}", "a function that returns an Experiment", type(experiment).__name__)
     return experiment
