@@ -7,7 +7,7 @@ from typing import Any
 from motes.core import checks
 
 WINDOW = 1_000
-"""Blocks that are handed out at a time: more than a cluster has threads, fewer than a scheduler minds or an interruption has to take back."""
+"""Blocks that are handed out at a time: more than a cluster has threads, fewer than a scheduler minds."""
 EVERY = 1.0
 """Seconds between two looks at who is there."""
 DEAD = ("KilledWorker", "BrokenProcessPool", "BrokenExecutor")
