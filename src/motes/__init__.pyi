@@ -19,6 +19,7 @@ from .core.checks import FileError as FileError
 from .core.checks import MissingExtraError as MissingExtraError
 from .core.checks import MotesError as MotesError
 from .core.checks import MotesWarning as MotesWarning
+from .core.hosts import join as join
 from .core.record import record as record
 from .core.record import replace as replace
 from .diagnostics.diagnose import diagnose as diagnose
