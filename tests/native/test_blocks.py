@@ -1,5 +1,7 @@
 """Kernels without a model against exact arithmetic: ancestors, weights, moments, on ordinary and on hostile weights."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from native_tools import needs_compiler
 
 import motes as mo
 from motes.core import engine, logspace, random
+from motes.filters import alarm
 from motes.laws.cloud import weighted_moments
 from motes.native import blocks
 from tiers import each
@@ -115,6 +118,41 @@ def test_moments(n, sizes):
     off = points - center[:, None]
     assert np.allclose(mean, center, atol=3e-4) and np.allclose(cov, (off * exact) @ off.T, atol=2e-3)
     assert np.array_equal(cov, np.asarray(cov).T)
+
+
+SENSORS = {
+    "one": (1, (), ()), "radar": (2, (1,), ()), "four": (4, (0, 2), ()), "missing": (3, (0,), (1,)), "nothing": (2, (1,), (0, 1)),
+}  # fmt: skip
+
+
+def predictions(kind, m=134):
+    """Return the angles of a sensor, m predictions of it, some of them no numbers, their covariance, log weights and a measurement."""
+    size, angles, missing = SENSORS[kind]
+    draw = np.random.default_rng(size).normal
+    root, centers, y = draw(size=(size, size)), draw(size=(size, m)), 2 * draw(size=size)
+    centers[list(angles)] += 3  # on both sides of the cut
+    centers[0, 3], centers[-1, 5], y[list(missing)] = np.nan, np.inf, np.nan
+    given = (centers, root @ root.T + 0.1 * np.eye(size), draw(size=m) - np.log(m), y)
+    return angles, [jnp.asarray(array, jnp.float32) for array in given]
+
+
+@pytest.mark.parametrize("kind", SENSORS)
+def test_innovations(kind):
+    """The kernel judges a measurement as JAX does, with the derivatives of JAX, and in a batch as alone."""
+    angles, given = predictions(kind)
+    in_jax = partial(alarm.of_mixture, angles)
+
+    def native(*given):
+        return jnp.stack(blocks.innovation(2000, in_jax, angles, *given))
+
+    with engine.using("native"):
+        found = jax.jit(native)(*given)
+        assert np.allclose(found, jax.jit(in_jax)(*given), rtol=2e-5, atol=1e-6)
+        several = jnp.stack([given[3], given[3] + 1])
+        assert np.array_equal(jax.vmap(native, (None, None, None, 0))(*given[:3], several)[0], found)
+        slope = jax.jacobian(native, 1)(*given)
+        assert np.allclose(slope, jnp.stack(jax.jacobian(in_jax, 1)(*given)), rtol=1e-4, atol=1e-4, equal_nan=True)
+    assert blocks.innovation(2000, in_jax, angles, given[0], given[1][..., None], *given[2:]) is None
 
 
 def test_batches_of_runs():

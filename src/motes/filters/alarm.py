@@ -8,6 +8,7 @@
    C <- max(0, C + 3/8 nis - freedom log 2); past a threshold the alarm rings and the sum starts anew.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -20,6 +21,7 @@ from motes.laws.circular import wrap
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over
 from motes.laws.density import among, measured_in, zeroed
 from motes.laws.observed import Observed
+from motes.native import blocks
 
 THRESHOLD = 10.0
 """Nats of the cumulative sum at which the alarm rings: once in more than 1e5 steps where all claims are right."""
@@ -118,7 +120,9 @@ def within(gate: float, square: jax.Array, freedom: jax.Array) -> jax.Array:
     return gammainc(0.5 * jnp.maximum(freedom, 1e-3), 0.5 * square) <= gate
 
 
-def of_cloud(key: jax.Array, sensor: Conditional, X: jax.Array, log_weights: jax.Array, y: jax.Array, u: Any, t: Any) -> Innovation:
+def of_cloud(  # noqa: PLR0913 (a step's, and the size of the whole cloud)
+    key: jax.Array, sensor: Conditional, X: jax.Array, log_weights: jax.Array, y: jax.Array, u: Any, t: Any, n: int = 0
+) -> Innovation:
     """Normalized innovation squared of y `(y,)` given weighted particles X `(x, m)` before they saw it.
 
     Args:
@@ -129,12 +133,15 @@ def of_cloud(key: jax.Array, sensor: Conditional, X: jax.Array, log_weights: jax
         y: the measurement.
         u: inputs of the step.
         t: its number.
+        n: of how many particles they are some, where native kernels may judge by that whether they pay.
     """
     if isinstance(y, Observed):
         return unknown(X.dtype)
     X, log_weights = _apart((X, log_weights))
     if isinstance(sensor, AdditiveGaussian):
-        return of_mixture(sensor.angles, sensor.means(X, u, t), matrix_over(sensor.Q, X, u, t), log_weights, y)
+        given = (sensor.means(X, u, t), matrix_over(sensor.Q, X, u, t), log_weights, y)
+        in_jax = partial(of_mixture, sensor.angles)
+        return Innovation(*(blocks.innovation(n, in_jax, sensor.angles, *given) or in_jax(*given)))
     if not sensor.draws:
         return unknown(X.dtype)
     return _ranked(sensor, sensor.sample(random.child(key, random.MEASURE), X, u, t), log_weights, y)

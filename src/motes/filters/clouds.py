@@ -61,8 +61,9 @@ def weigh_by_likelihood(key: jax.Array, sensor: Conditional, cloud: Cloud, y: ja
         return cloud, sensor.log_prob(y, cloud.particles, u, t), sensor.max_log_prob(y, cloud.particles, u, t)
 
     after, info = update_weights(cloud, likelihood_of)
-    some = alarm.some_of(cloud.log_weights.shape[0])
-    return after, with_innovation(info, alarm.of_cloud(key, sensor, cloud.particles[:, some], cloud.log_weights[some], y, u, t))
+    n = cloud.log_weights.shape[0]
+    some = alarm.some_of(n)
+    return after, with_innovation(info, alarm.of_cloud(key, sensor, cloud.particles[:, some], cloud.log_weights[some], y, u, t, n))
 
 
 def correct_modes(rule: Rule, model: JumpMarkovModel, state: ModeMixture, y: jax.Array, u: Any, t: Any) -> tuple[ModeMixture, Info]:

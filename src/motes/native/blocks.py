@@ -142,5 +142,26 @@ def joint_weights(log_weights: jax.Array, log_likelihood: jax.Array, max_log_lik
     return differentiable(native, engine.original(logspace.joint_weights))(log_weights, log_likelihood, max_log_likelihood)
 
 
+def innovation(n: int, pure: Callable[..., Any], angles: tuple[int, ...], *given: jax.Array) -> tuple[jax.Array, jax.Array] | None:
+    """Return square and degrees of freedom of an innovation, see `alarm.of_mixture`; None where each particle has its own covariance.
+
+    Args:
+        n: number of particles, some of which were asked for predictions.
+        pure: the same in JAX.
+        angles: components of the measurement that are angles.
+        *given: predictions `(y, m)`, covariance `(y, y)`, log weights `(m,)` and measurement `(y,)`.
+    """
+    centers, cov, *_ = given
+    size, dtype = centers.shape[0], centers.dtype
+    if cov.ndim != 2 or not 0 < size <= MOST_ROWS or not usable(n, *(array.dtype for array in given)):
+        return None
+
+    def native(*given: jax.Array) -> tuple[jax.Array, jax.Array]:
+        turning = jnp.asarray([i in angles for i in range(size)], dtype)
+        return tuple(_call("innovation", dtype, jax.ShapeDtypeStruct((2,), dtype), *given, turning))
+
+    return differentiable(native, lambda *given: tuple(pure(*given)))(*given)
+
+
 for implementation in (normal_block, weighted_moments, resampled, joint_weights):
     engine.offer(implementation.__name__, implementation)

@@ -1,4 +1,4 @@
-// Kernels that need no model: random numbers, ancestors, weights, moments.
+// Kernels that need no model: random numbers, ancestors, weights, moments, innovations.
 #include "weights.hpp"
 
 using namespace motes;
@@ -124,3 +124,130 @@ static void moments(const Frame& frame, const Team& team) {
   });
 }
 MOTES_KERNEL(motes_moments, moments)
+
+// x = L^-1 x for rows of m numbers; a zero pivot gives a zero row
+static inline void solve_lower(const double (*L)[MOST_ROWS], int size, Real* __restrict x, int64_t m) {
+  for (int r = 0; r < size; r++) {
+    Real* __restrict row = x + r * m;
+    for (int k = 0; k < r; k++) {
+      const Real* __restrict before = x + k * m;
+      Real factor = (Real)L[r][k];
+#pragma omp simd
+      for (int64_t i = 0; i < m; i++) row[i] -= factor * before[i];
+    }
+    Real inverse = L[r][r] > 0 ? (Real)(1 / L[r][r]) : 0;
+#pragma omp simd
+    for (int64_t i = 0; i < m; i++) row[i] *= inverse;
+  }
+}
+
+static inline Real wrapped(Real difference) {
+  return difference - (Real)6.283185307179586 * (Real)__builtin_ceil(difference / (Real)6.283185307179586 - (Real)0.5);
+}
+
+// Normalized innovation squared of y among m Gaussians of one covariance, and its degrees of freedom, by the steps of `alarm.of_mixture`.
+static void judge_innovation(const Real* centers, const Real* cov, const Real* log_weights, const Real* y, const Real* angles, int size,
+                             int64_t m, Real* found) {
+  constexpr double TOO_FEW = 4;
+  Scratch memory(sizeof(Real) * m * (size + 3));
+  Real *off = memory.as<Real>(), *weights = off + size * m, *between = weights + m, *weighted = between + m;
+  int64_t heaviest = 0;
+  for (int64_t i = 1; i < m; i++) heaviest = log_weights[i] > log_weights[heaviest] ? i : heaviest;
+  bool turning = false, seen[MOST_ROWS];
+  int measured = 0;
+  for (int r = 0; r < size; r++) {
+    turning |= angles[r] > 0, seen[r] = y[r] == y[r] && __builtin_fabs(cov[r * size + r]) < INF;
+    measured += seen[r];
+  }
+#pragma omp simd
+  for (int64_t i = 0; i < m; i++) weights[i] = motes::exp(log_weights[i]);
+  for (int r = 0; r < size; r++) {  // differences of angles are wrapped about the heaviest
+    const Real* __restrict center = centers + r * m;
+    Real* __restrict row = off + r * m;
+    Real about = turning ? center[heaviest] : y[r], base = y[r] - about;
+    base = angles[r] > 0 ? wrapped(base) : base;
+    for (int64_t i = 0; i < m; i++) {
+      Real difference = center[i] - about;
+      row[i] = seen[r] ? (angles[r] > 0 ? wrapped(difference) : difference) - base : 0;
+    }
+#pragma omp simd
+    for (int64_t i = 0; i < m; i++) weights[i] = row[i] < INF && row[i] > -INF ? weights[i] : 0;
+  }
+  double total = 0, squares = 0, middle[MOST_ROWS], own[MOST_ROWS][MOST_ROWS], L[MOST_ROWS][MOST_ROWS];
+#pragma omp simd reduction(+ : total, squares)
+  for (int64_t i = 0; i < m; i++) total += weights[i], squares += (double)weights[i] * weights[i];
+  for (int r = 0; r < size; r++) {
+    Real* __restrict row = off + r * m;
+    double sum = 0;
+#pragma omp simd reduction(+ : sum)
+    for (int64_t i = 0; i < m; i++) row[i] = weights[i] > 0 ? row[i] : 0, sum += (double)weights[i] * row[i];
+    middle[r] = sum / total;
+#pragma omp simd
+    for (int64_t i = 0; i < m; i++) row[i] -= (Real)middle[r];
+  }
+  for (int r = 0; r < size; r++) {
+    const Real* __restrict row = off + r * m;
+#pragma omp simd
+    for (int64_t i = 0; i < m; i++) weighted[i] = weights[i] * row[i];
+    for (int c = 0; c <= r; c++) {
+      const Real* __restrict other = off + c * m;
+      double sum = 0;
+#pragma omp simd reduction(+ : sum)
+      for (int64_t i = 0; i < m; i++) sum += (double)weighted[i] * other[i];
+      own[r][c] = seen[r] && seen[c] ? cov[r * size + c] : r == c, own[c][r] = seen[r] && seen[c] ? cov[c * size + r] : r == c;
+      L[r][c] = sum / total + own[r][c];
+    }
+  }
+  constexpr double EPS = sizeof(Real) == 4 ? 1.1920928955078125e-7 : 2.220446049250313e-16;
+  double least[MOST_ROWS];
+  for (int j = 0; j < size; j++) least[j] = 4 * size * EPS * L[j][j];
+  for (int j = 0; j < size; j++) {  // a pivot that is zero up to rounding gives a zero column
+    for (int k = 0; k < j; k++) L[j][j] -= L[j][k] * L[j][k];
+    L[j][j] = L[j][j] > least[j] ? __builtin_sqrt(L[j][j]) : 0;
+    for (int i = j + 1; i < size; i++) {
+      for (int k = 0; k < j; k++) L[i][j] -= L[i][k] * L[j][k];
+      L[i][j] = L[j][j] > 0 ? L[i][j] / L[j][j] : 0;
+    }
+  }
+  auto solve = [&](double* x, int stride) {
+    for (int r = 0; r < size; r++) {
+      for (int k = 0; k < r; k++) x[r * stride] -= L[r][k] * x[k * stride];
+      x[r * stride] = L[r][r] > 0 ? x[r * stride] / L[r][r] : 0;
+    }
+  };
+  solve(middle, 1);
+  for (int c = 0; c < size; c++) solve(&own[0][c], MOST_ROWS);
+  for (int r = 0; r < size; r++) solve(own[r], 1);
+  solve_lower(L, size, off, m);
+  __builtin_memset(between, 0, sizeof(Real) * m);
+  double square = 0, trace = 0, twice = 0, fourth = 0;
+  for (int r = 0; r < size; r++) {
+    const Real* __restrict row = off + r * m;
+#pragma omp simd
+    for (int64_t i = 0; i < m; i++) between[i] += row[i] * row[i];
+    square += middle[r] * middle[r], trace += own[r][r];
+    for (int c = 0; c < size; c++) twice += own[r][c] * own[r][c];
+  }
+#pragma omp simd reduction(+ : fourth)
+  for (int64_t i = 0; i < m; i++) fourth += (double)weights[i] * between[i] * between[i];
+  double count = total * total / squares, share = 1 - trace / size;
+  double second = fourth / total + trace * (2 * size - trace) + 4 * trace - 2 * twice;
+  double variance = second - size * size + 2 * size * (size + 2) * share * share / count;
+  double wider = variance <= 2 * size ? 1 : variance / (2 * size);
+  bool known = count > TOO_FEW;
+  found[0] = known ? (Real)(square / (wider * (1 + share / count))) : 0;
+  found[1] = known ? (Real)(measured / wider) : 0;
+}
+
+// args: predicted measurements `(y, m)`, their covariance `(y, y)`, log weights `(m)`, measurement `(y)`, one for each angle in it `(y)`;
+// rets: square and degrees of freedom `(2)`
+static void innovation(const Frame& frame, const Team& team) {
+  Operand out = frame.ret(0), centers = frame.arg(0);
+  Batch batch(out, 1);
+  int64_t m = centers.dims[centers.rank - 1], size = centers.dims[centers.rank - 2];
+  for_each_run(team, batch, 1, [=](int64_t run, const Team&) {
+    auto of = [&](int i) { return batch.of<const Real>(frame.arg(i), run); };
+    judge_innovation(of(0), of(1), of(2), of(3), of(4), (int)size, m, batch.of<Real>(out, run));
+  });
+}
+MOTES_KERNEL(motes_innovation, innovation)

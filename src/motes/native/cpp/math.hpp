@@ -213,12 +213,16 @@ static inline __attribute__((always_inline)) float remainder(float x, float y) {
 }
 
 // inverse error function over its argument, for w = -log(1 - x^2) and w - 2.5: the two pieces of Giles (2010)
+// the inverse error function over its argument x, from w = -log(1 - x^2): where w < 5, from w - 2.5; and from there on
+static inline __attribute__((always_inline)) float erf_inv_slope_near(float near) {
+  return polynomial(near, 2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 0.00021858087f, -0.00125372503f,
+                    -0.00417768164f, 0.246640727f, 1.50140941f);
+}
+
 static inline __attribute__((always_inline)) float erf_inv_slope(float w, float near) {
-  float p = polynomial(near, 2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 0.00021858087f, -0.00125372503f,
-                       -0.00417768164f, 0.246640727f, 1.50140941f);
   float q = polynomial(sqrt(w) - 3.f, -0.000200214257f, 0.000100950558f, 0.00134934322f, -0.00367342844f, 0.00573950773f,
                        -0.0076224613f, 0.00943887047f, 1.00167406f, 2.83297682f);
-  return w < 5.f ? p : q;
+  return w < 5.f ? erf_inv_slope_near(near) : q;
 }
 
 static inline __attribute__((always_inline)) float erf_inv(float x) {
