@@ -36,11 +36,17 @@ class Run:
     Attributes:
         seed: of the filters, and of a world that is made up.
         n: number of particles of all filters that have particles; their own if not given.
+        elements: elements that the particles of each filter are shared out over, as of `mo.Distributed`; 8 with several processes.
+        processes: processes of this machine that share the work.
+        hosts: work with the processes that a launcher started (srun, mpirun, torchrun, Kubernetes).
         out: folder for the results.
     """
 
     seed: int = 0
     n: int | None = None
+    elements: int | None = None
+    processes: int = 1
+    hosts: bool = False
     out: str = field(default="out", metadata={"path": True})
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from motes.cli import processes
 from motes.cli.asked import Asked, Run, applications, asked
 from motes.cli.options import refuse
 from motes.cli.records import choice_of, is_spelled
@@ -31,10 +32,14 @@ def main(words: Sequence[str]) -> None:
     if name not in applications():
         refuse("demo", "one of " + ", ".join([*applications(), *demonstrations()]), repr(name))
     wish = asked(Run, [name, *rest], f"motes demo {name}")
-    folder, job = carried_out(wish)
-    path = folder / f"{name}.toml"
-    write(path, wish, job)
-    print(f"Results are in {folder}. The same from its files: motes run {path}")
+    if processes.started("demo", [name, *rest], wish.settings):
+        return
+    with processes.joined(wish.settings):
+        folder, job = carried_out(wish)
+        path = folder / f"{name}.toml"
+        if is_first():
+            write(path, wish, job)
+        print(f"Results are in {folder}. The same from its files: motes run {path}")
 
 
 def demonstrations() -> dict[str, str]:

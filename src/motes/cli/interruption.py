@@ -1,4 +1,4 @@
-"""Ctrl-C ends the command at once, whatever it does: a thread of its own hears it.
+"""Ctrl-C ends the command at once, whatever it does: a thread of its own hears it. SIGTERM lets a run that is kept save itself first.
 
 A Python handler runs only between two steps of the main thread, which can be in compiled code for minutes, or asleep there for good; an
 exception that a handler raises can be lost in a destructor or in somebody's callback; and threads of XLA that still compute while Python
@@ -10,19 +10,25 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import NoReturn
 
 from motes.io.unfinished import remove_unfinished
 
-CODE = 130
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "ended by SIGTERM"}
 SHOW_CURSOR = "\x1b[?25h\n"
 
 _ending = threading.Lock()
+_asked = threading.Event()
 _kept = ""
+_saves = False
+_instead: Callable[[int], object] | None = None
 
 
 def heed(name: str) -> None:
-    """End this process with one line and exit code 130 when it is interrupted.
+    """End this process with one line and exit code 130 or 143 when it is interrupted, or told to end.
 
     Args:
         name: what was interrupted, for the line.
@@ -34,7 +40,9 @@ def heed(name: str) -> None:
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    signal.signal(signal.SIGINT, lambda *about: _end(name))
+    for number in CODES:
+        # the thread hears of it in any case; Python asks for a handler
+        signal.signal(number, lambda *about: None)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     threading.Thread(target=_listen, args=(reader, name), name="interruption", daemon=True).start()
 
@@ -45,22 +53,58 @@ def keeps(where: str) -> None:
     _kept = f"; what was done is kept in {where}, and the same command goes on from there"
 
 
+@contextmanager
+def saving() -> Iterator[None]:
+    """Let the first SIGTERM only ask the work in a `with` block to end, which looks at `is_asked` now and then, saves, and calls `end`."""
+    global _saves
+    _saves = True
+    try:
+        yield
+    finally:
+        _saves = False
+
+
+def is_asked() -> bool:
+    """Tell whether the work was asked to end."""
+    return _asked.is_set()
+
+
+def end(name: str) -> NoReturn:
+    """End this process as SIGTERM asked for."""
+    _end(name, signal.SIGTERM)
+    # another thread is at it
+    leave(CODES[signal.SIGTERM])
+
+
+def instead(heard: Callable[[int], object]) -> None:
+    """Have this called with the number of the signal from now on, in place of all else."""
+    global _instead
+    _instead = heard
+
+
 def _listen(reader: int, name: str) -> None:
-    while os.read(reader, 1) != bytes([signal.SIGINT]):
-        pass
-    _end(name)
+    while True:
+        heard = os.read(reader, 1)[0]
+        if heard not in CODES:
+            continue
+        if _instead is not None:
+            _instead(heard)
+        elif heard == signal.SIGTERM and _saves and not _asked.is_set():
+            _asked.set()
+        else:
+            _end(name, heard)
 
 
-def _end(name: str) -> None:
+def _end(name: str, number: int) -> None:
     if not _ending.acquire(blocking=False):
         return
     remove_unfinished()
     # not by way of Python's streams, whose locks the main thread may hold
-    line = (SHOW_CURSOR if os.isatty(2) else "") + f"{name}: interrupted{_kept}\n"
+    line = (SHOW_CURSOR if os.isatty(2) else "") + f"{name}: {WORDS[number]}{_kept}\n"
     try:
         os.write(2, line.encode())
     finally:
-        os._exit(CODE)
+        os._exit(CODES[number])
 
 
 def leave(code: int) -> NoReturn:

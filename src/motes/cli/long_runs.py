@@ -16,8 +16,8 @@ from typing import Any
 import jax
 
 from motes.applications.interface import Job
-from motes.cli.interruption import keeps
-from motes.core import checks
+from motes.cli import interruption
+from motes.core import checks, hosts
 from motes.core.checks import FileError, MotesError
 from motes.core.memory import give_back
 from motes.core.record import replace
@@ -149,19 +149,30 @@ def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | 
     found = _read(named()) if there else []
     yield from found
     since = time.monotonic()
-    for part in further(found[-1] if found else None):
-        jax.block_until_ready(part)
-        yield part
-        found[-1:] = [replace(one, last=None) for one in found[-1:]] + [part]
-        if time.monotonic() - since > EVERY:
-            file = named()
-            if file is not None:
+
+    def kept() -> None:
+        nonlocal found
+        file = named()
+        if file is not None:
+            found = [joined(found)]
+            if hosts.is_first():
                 file.parent.mkdir(parents=True, exist_ok=True)
-                found = [joined(found)]
                 found[0].save(file)
-                _kept.add(file)
-                keeps(label(file.parent))
-            since = time.monotonic()
+            _kept.add(file)
+            interruption.keeps(label(file.parent))
+
+    with interruption.saving():
+        for part in map(hosts.gathered, further(found[-1] if found else None)):
+            jax.block_until_ready(part)
+            yield part
+            found[-1:] = [replace(one, last=None) for one in found[-1:]] + [part]
+            # what one process is told all of them do; the clock is that of the first
+            ends = hosts.one_of_all(interruption.is_asked())
+            if ends or hosts.agreed(time.monotonic() - since > EVERY):
+                kept()
+                since = time.monotonic()
+            if ends:
+                interruption.end("motes")
 
 
 def _read(file: Path | None) -> list[History]:
@@ -175,6 +186,13 @@ def _read(file: Path | None) -> list[History]:
         return []
     _kept.add(file)
     return found
+
+
+def kept_in(folder: Path) -> tuple[int, Path] | None:
+    """Return how many steps of a run are kept in a folder, and in which file; of several the one that was written last."""
+    files = sorted(folder.glob(f".*{ENDING}"), key=lambda file: file.stat().st_mtime)
+    found = _read(files[-1]) if files else []
+    return (int(found[0].last.step) + 1, files[-1]) if found else None
 
 
 def forget() -> None:

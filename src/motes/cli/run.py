@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from motes.cli import processes
 from motes.cli.asked import Asked, Run, asked
 from motes.cli.options import check_seed, refuse
 from motes.cli.records import build
@@ -26,8 +27,12 @@ def main(words: Sequence[str]) -> None:
     Raises:
         MotesError: an option, a file or the user's function cannot be used.
     """
-    folder, _ = carried_out(asked(Run, words, USAGE))
-    print(f"Results are in {folder}.")
+    wish = asked(Run, words, USAGE)
+    if processes.started("run", words, wish.settings):
+        return
+    with processes.joined(wish.settings):
+        folder, _ = carried_out(wish)
+        print(f"Results are in {folder}.")
 
 
 def carried_out(wish: Asked) -> "tuple[Path, Job]":
@@ -45,6 +50,7 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
     settings = wish.settings
     check_seed(settings.seed)
     from motes.cli import long_runs, running
+    from motes.core.hosts import is_first
     from motes.filters import keep
     from motes.smoothers.interface import Smoother
 
@@ -55,13 +61,16 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
     job = wish.job()
     if job.ys is None:
         refuse("data", "a file of measurements", "none", "Give --data FILE, or return 'ys' from the function.")
-    filters = wish.filters(job, "filter", "filters")
+    filters = processes.distributed(wish.filters(job, "filter", "filters"), settings)
     if job.about():
         print(job.about())
     if smoother is not None:
         running.check_smoother(settings.seed, smoother, filters, job)
     outcomes = running.race(settings.seed, filters, job, keep.laws if smoother else job.keep, settings.out)
     histories = {name: outcome.history for name, outcome in outcomes.items()}
+    folder = running.made_folder(settings.out)
+    if not is_first():
+        return folder, job
     scores = {name: job.scores(history) for name, history in histories.items()}
     found = {name: running.results(outcome) | {_key(one): one.value for one in scores[name]} for name, outcome in outcomes.items()}
     shown = next(iter(scores.values()))[:MOST_SCORES]
@@ -72,7 +81,6 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
             for name in outcomes]  # fmt: skip
     steps = running.steps(next(iter(histories.values())))
     running.show(job.title(steps), head, rows)
-    folder = running.made_folder(settings.out)
     for name, history in histories.items():
         history.save(folder / f"{name}.nc")
         history.save(folder / f"{name}.npz")

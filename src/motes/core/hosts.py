@@ -210,6 +210,15 @@ def agreed(value: Any) -> Any:
     return np.asarray(multihost_utils.broadcast_one_to_all(np.asarray(value)))
 
 
+def one_of_all(said: bool) -> bool:
+    """Tell whether one of the processes says so; all processes ask."""
+    if not together():
+        return said
+    from jax.experimental import multihost_utils
+
+    return bool(np.any(multihost_utils.process_allgather(np.asarray(said))))
+
+
 def gathered(tree: Any) -> Any:
     """Return arrays with the parts that other processes hold; all processes ask."""
     if not together():
