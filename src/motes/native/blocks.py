@@ -15,7 +15,7 @@ from motes.native import report
 from motes.native.compile import HEADERS, begun, call_kernel, finished
 from motes.native.rules import kind_of
 from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
-from motes.resampling.schemes import Scheme, Systematic
+from motes.resampling.schemes import Given, Scheme, Systematic
 
 FEWEST = 256
 """With fewer particles JAX is as fast."""
@@ -101,6 +101,8 @@ def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Arr
 
 def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """Return ancestors `(n,)` and log weights `(n,)`, resampled where the policy asks for it; None for schemes and policies not known."""
+    if isinstance(scheme, Given):
+        return (scheme.indices, scheme.log_weights) if usable(scheme.indices.shape[0], scheme.log_weights.dtype) else None
     codes = {Always: 0, Never: 1, ESS: 2, Entropy: 3}
     n, dtype = log_weights.shape[0], log_weights.dtype
     if type(scheme) is not Systematic or type(policy) not in codes or not usable(n, dtype):

@@ -192,7 +192,9 @@ def _used(declarations: Sequence[str], body: Sequence[str]) -> list[str]:
 
 def call_move(stage: Stage, shared: Shared, ancestors: jax.Array, leaves: Sequence[jax.Array]) -> list[jax.Array]:
     """Return the arrays of the chosen ancestors, moved."""
-    made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
+    many = ancestors.shape[0]
+    made = [jax.ShapeDtypeStruct((*leaf.shape[:-1], many), leaf.dtype)
+            for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]  # fmt: skip
     words, tables = shared
     results = list(_call(stage, made, words, ancestors, *leaves, *tables))
     return [results.pop(0) if changed else leaf[..., ancestors] for leaf, changed in zip(leaves, stage.changed, strict=True)]

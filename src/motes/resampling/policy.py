@@ -1,6 +1,7 @@
 """When to resample: a value apart from how (schemes.py)."""
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +12,37 @@ from motes.resampling import gradients
 from motes.resampling.schemes import Scheme, W
 
 
+class Sums(NamedTuple):
+    """Sums over all particles that decide whether to resample; each is `()`, or that of each of several parts of the particles.
+
+    Attributes:
+        weights: of the weights.
+        squares: of their squares.
+        terms: of w log w.
+    """
+
+    weights: jax.Array
+    squares: jax.Array
+    terms: jax.Array
+
+    @classmethod
+    def of(cls, log_weights: jax.Array) -> "Sums":
+        """Sum log weights `(..., n)` over their last axis."""
+        weights = jnp.exp(log_weights)
+        terms = jnp.where(weights > 0, weights * log_weights, 0)
+        return cls(jnp.sum(weights, axis=-1), jnp.sum(weights**2, axis=-1), jnp.sum(terms, axis=-1))
+
+
 class Policy(ABC):
     """Decides from the weights whether to resample."""
 
     @abstractmethod
     def needed(self, log_weights: jax.Array) -> jax.Array | bool:
         """Tell whether to resample, from normalized log weights `(n,)`."""
+
+    def needed_by(self, sums: Sums, n: int) -> jax.Array | bool | None:
+        """Tell the same from sums over n particles; None of a policy that asks for more."""
+        return None
 
 
 @record
@@ -27,12 +53,20 @@ class Always(Policy):
         """Yes."""
         return True
 
+    def needed_by(self, sums: Sums, n: int) -> bool:
+        """Yes."""
+        return True
+
 
 @record
 class Never(Policy):
     """Never resample (sequential importance sampling); weights degenerate in time."""
 
     def needed(self, log_weights: jax.Array) -> bool:
+        """No."""
+        return False
+
+    def needed_by(self, sums: Sums, n: int) -> bool:
         """No."""
         return False
 
@@ -55,6 +89,10 @@ class ESS(Policy):
         """Compare the effective sample size with the share."""
         return logspace.effective_size(log_weights) < self.share * log_weights.shape[0]
 
+    def needed_by(self, sums: Sums, n: int) -> jax.Array:
+        """Compare the effective sample size with the share."""
+        return sums.weights**2 < self.share * n * sums.squares
+
 
 @record
 class Entropy(Policy):
@@ -73,6 +111,10 @@ class Entropy(Policy):
     def needed(self, log_weights: jax.Array) -> jax.Array:
         """Compare the entropy deficit with the threshold."""
         return logspace.entropy_deficit(log_weights) > self.threshold
+
+    def needed_by(self, sums: Sums, n: int) -> jax.Array:
+        """Compare the entropy deficit with the threshold."""
+        return jnp.log(jnp.asarray(n, sums.terms.dtype)) + sums.terms / sums.weights - jnp.log(sums.weights) > self.threshold
 
 
 def resample(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W, log_score: jax.Array | None = None) -> W:

@@ -29,8 +29,9 @@ static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, 
   Rows<Model> rows;
   int at = 0;
   for (int leaf = 0; leaf < Model::LEAVES; leaf++) {
-    const Real* data = batch.of<const Real>(frame.arg(2 + leaf), run);
-    for (int r = 0; r < Model::ROWS[leaf]; r++) rows.in[at++] = data + r * n;
+    Operand given = frame.arg(2 + leaf);  // of any number of particles, where their children are moved
+    const Real* data = batch.of<const Real>(given, run);
+    for (int r = 0; r < Model::ROWS[leaf]; r++) rows.in[at++] = data + r * given.dims[given.rank - 1];
   }
   for (int table = 0; table < Model::TABLES; table++)
     rows.tables[table] = batch.at(frame.arg(2 + Model::LEAVES + table), run, Model::TABLE_BYTES[table]);
