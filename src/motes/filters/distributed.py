@@ -117,7 +117,7 @@ class Distributed(Around, TwoStageFilter):
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             keys = crew.own(random.step_keys(key, self.elements))
             law = jax.vmap(lambda key: self._each.init(key, model), out_axes=form.axes(0))(keys)
-            law = form.first_of_rest(law)
+            law = jax.lax.optimization_barrier(form.first_of_rest(law))
             equal = jnp.full((crew.here,), -jnp.log(self.elements), law.log_weights.dtype)
             own = (crew.first + jnp.arange(crew.here, dtype=jnp.int32))[:, None] * self.size
             law = replace(law, log_weights=added(law.log_weights, equal), ancestors=law.ancestors + own)
@@ -146,7 +146,7 @@ class Distributed(Around, TwoStageFilter):
                     info = self._each.correct(keys[k], model, law, y, u, t)[1]
                 return Innovation(info.nis, info.freedom)
 
-            info = with_innovation(info, form.one_by_one(innovation, law))
+            info = with_innovation(info, form.one_by_one(innovation, law, twice=True))
             return _finished(crew, form, masses, after, info)
 
         return self._taken(form, shared_out(work, self.elements, *form.arrays(state.plain), ranks=form.ranks))

@@ -75,16 +75,20 @@ class Form:
         """Say to `vmap` where a cut law has the axis of elements, and where the arrays without particles have it."""
         return jax.tree.unflatten(self.tree, [-2 if lane else rest for lane in self.marks])
 
-    def one_by_one(self, function: Callable[[Any, jax.Array], Any], law: Any) -> Any:
+    def one_by_one(self, function: Callable[[Any, jax.Array], Any], law: Any, twice: bool = False) -> Any:
         """Apply a function to the law of each element of a cut law, and its number here, one after the other; results are `(e, ...)`.
 
-        A product of matrices that runs over particles is rounded otherwise where it is one of several that are worked out at once.
+        A product of matrices that runs over particles is rounded otherwise where it is one of several that are worked out at once; and a
+        loop that is gone through once is none to the compiler, which then has its own way with what is in it.
         """
+        count = law.log_weights.shape[0]
 
         def one(k: jax.Array) -> Any:
             return function(self.each(lambda lane: jax.lax.dynamic_index_in_dim(lane, k, lane.ndim - 2, keepdims=False), law), k)
 
-        return jax.lax.map(one, jnp.arange(law.log_weights.shape[0]))
+        if count == 1 and twice:
+            return jax.tree.map(lambda leaf: leaf[:1], jax.lax.map(one, jnp.zeros((2,), jnp.int32)))
+        return jax.lax.map(one, jnp.arange(count))
 
     def first_of_rest(self, law: Any) -> Any:
         """Take of the arrays without particles, which are the same for all elements, those of the first."""
