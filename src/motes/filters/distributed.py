@@ -16,14 +16,15 @@ import jax.numpy as jnp
 from motes.core import checks, engine, random
 from motes.core.devices import Crew, shared_out
 from motes.core.record import record, replace, static
-from motes.filters.info import Info, info_of, with_innovation
 from motes.filters.alarm import Innovation
+from motes.filters.info import Info, info_of, with_innovation
 from motes.filters.interface import Filter, Guide, TwoStageFilter
 from motes.filters.wrapper import Around
-from motes.laws.elements import Form, added, in_elements, log_masses, within
+from motes.laws.elements import Form, Sums, added, in_elements, log_sum, masses, within
 from motes.laws.observed import is_nothing
+from motes.native import blocks
 from motes.resampling.exchange import Exchange, Proportional
-from motes.resampling.policy import Always, Sums
+from motes.resampling.policy import Always
 from motes.resampling.schemes import Systematic
 
 EXPECTED = "one that moves and weighs a cloud of n particles, such as ParticleFilter or MarginalizedParticleFilter"
@@ -116,8 +117,8 @@ class Distributed(Around, TwoStageFilter):
 
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             keys = crew.own(random.step_keys(key, self.elements))
-            law = jax.vmap(lambda key: self._each.init(key, model), out_axes=form.axes(0))(keys)
-            law = jax.lax.optimization_barrier(form.first_of_rest(law))
+            law, _ = form.mapped(lambda key, law: (self._each.init(key, model), None), True, keys, None, False)
+            law = jax.lax.optimization_barrier(law)
             equal = jnp.full((crew.here,), -jnp.log(self.elements), law.log_weights.dtype)
             own = (crew.first + jnp.arange(crew.here, dtype=jnp.int32))[:, None] * self.size
             law = replace(law, log_weights=added(law.log_weights, equal), ancestors=law.ancestors + own)
@@ -135,19 +136,18 @@ class Distributed(Around, TwoStageFilter):
 
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             law = form.cut(form.law(lanes, rest), crew.here)
-            masses = log_masses(law.log_weights)
-            law = jax.lax.optimization_barrier(replace(law, log_weights=within(law.log_weights, masses)))
+            log_mass = masses(law.log_weights).log
+            law = jax.lax.optimization_barrier(replace(law, log_weights=within(law.log_weights, log_mass)))
             keys = crew.own(random.step_keys(key, self.elements))
-            stage = jax.vmap(lambda key, law: self._each.correct(key, model, law, y, u, t), (0, form.axes(None)), (form.axes(0), 0))
-            after, info = stage(keys, law)
-
-            def innovation(law: Any, k: jax.Array) -> Innovation:
+            stage = lambda key, law: self._each.correct(key, model, law, y, u, t)  # noqa: E731
+            at_once = self._at_once(law)
+            after, info = form.mapped(stage, at_once, keys, law, True)
+            if at_once:
+                # what the alarm asks for is worked out by JAX, one after the other
                 with engine.using("jax"):
-                    info = self._each.correct(keys[k], model, law, y, u, t)[1]
-                return Innovation(info.nis, info.freedom)
-
-            info = with_innovation(info, form.one_by_one(innovation, law, twice=True))
-            return _finished(crew, form, masses, after, info)
+                    _, seen = form.mapped(lambda key, law: (law, stage(key, law)[1]), False, keys, law, True)
+                info = replace(info, nis=seen.nis, freedom=seen.freedom)
+            return _finished(crew, form, log_mass, after, info)
 
         return self._taken(form, shared_out(work, self.elements, *form.arrays(state.plain), ranks=form.ranks))
 
@@ -177,15 +177,19 @@ class Distributed(Around, TwoStageFilter):
             handed = jax.lax.optimization_barrier(handed)
             keys = crew.own(random.step_keys(key, self.elements))
 
-            def one(key: jax.Array, law: Any, given: Any) -> tuple[Any, Any]:
+            def one(own: tuple[jax.Array, Any], law: Any) -> tuple[Any, Any]:
+                key, given = own
                 return stage(self._each if given is None else replace(self._each, scheme=given, policy=Always()), key, law)
 
-            axes = form.axes(None) if handed.given is None else None
-            law, info = jax.vmap(one, (0, axes, 0), (form.axes(0), 0))(keys, handed.law, handed.given)
+            law, info = form.mapped(one, self._at_once(state), (keys, handed.given), handed.law, handed.given is None)
             origin = handed.origin if handed.given is not None else jnp.take_along_axis(handed.origin, law.ancestors, axis=1)
-            return _finished(crew, form, handed.masses, replace(law, ancestors=origin), info)
+            return _finished(crew, form, handed.log_mass, replace(law, ancestors=origin), info)
 
         return self._taken(form, shared_out(work, self.elements, *form.arrays(state.plain), ranks=form.ranks))
+
+    def _at_once(self, law: Any) -> bool:
+        """Whether the elements of a device are worked on at once: native kernels then go over them, in an order that is each one's own."""
+        return engine.accelerated() or blocks.usable(self.size, law.log_weights.dtype)
 
     def _whole(self, form: Form, arrays: tuple[Any, Any]) -> Any:
         return in_elements(form.law(*arrays), self.elements)
@@ -209,40 +213,40 @@ class _Numbers(NamedTuple):
     freedom: jax.Array
 
 
-def _finished(crew: Crew, form: Form, masses: jax.Array, law: Any, info: Info | None) -> Any:
+def _finished(crew: Crew, form: Form, log_mass: jax.Array, law: Any, info: Info | None) -> Any:
     """Return the arrays of what a stage made, weights normalized over all, and the record of the step, if it is one.
 
     Args:
         crew: the elements here.
         form: of the law.
-        masses: log masses of the elements here before the stage, `(e,)`.
+        log_mass: log masses of the elements here before the stage, `(e,)`.
         law: of the elements here, cut; weights normalized within each.
         info: of each element here.
     """
     # barriers: what is rounded how must not depend on what stands beside it, which differs with the number of elements here
-    law, info, masses = jax.lax.optimization_barrier((form.first_of_rest(law), info, masses))
+    law, info, log_mass = jax.lax.optimization_barrier((law, info, log_mass))
     if info is not None:
-        own = _Numbers(masses, *(getattr(info, name) for name in _Numbers._fields[1:]))
-        info, log_sum = _together(crew.gathered(own))
-        masses = masses + own.log_evidence - log_sum
-    law = replace(law, log_weights=added(law.log_weights, masses))
+        own = _Numbers(log_mass, *(getattr(info, name) for name in _Numbers._fields[1:]))
+        info, total = _together(crew.gathered(own))
+        log_mass = log_mass + own.log_evidence - total
+    law = replace(law, log_weights=added(law.log_weights, log_mass))
     lanes, rest = form.arrays(form.uncut(law))
     return lanes, (rest, info)
 
 
 def _together(numbers: _Numbers) -> tuple[Info, jax.Array]:
     """Return the record of the step from what all elements say `(K,)`, and the log of the sum of mass times evidence."""
-    before = log_masses(numbers.mass[None])[0]
+    before = log_sum(numbers.mass)
     joint = jnp.where(jnp.isfinite(numbers.mass), numbers.mass + numbers.log_evidence, -jnp.inf)
-    log_sum = log_masses(joint[None])[0]
-    shares = jnp.exp(joint - jnp.where(jnp.isfinite(log_sum), log_sum, 0))
+    total = log_sum(joint)
+    shares = jnp.exp(joint - jnp.where(jnp.isfinite(total), total, 0))
     squares = jnp.sum(jnp.where(shares > 0, shares**2 / numbers.ess, 0))
-    found = [log_sum - before, 1 / squares, jnp.sum(numbers.invalid), jnp.min(numbers.lowest), jnp.max(numbers.highest),
+    found = [total - before, 1 / squares, jnp.sum(numbers.invalid), jnp.min(numbers.lowest), jnp.max(numbers.highest),
              jnp.min(numbers.shortfall)]  # fmt: skip
-    info = info_of(jnp.stack([one.astype(log_sum.dtype) for one in found]))
+    info = info_of(jnp.stack([one.astype(total.dtype) for one in found]))
     # of elements that predict nothing of the measurement none is asked
     weights = jnp.where(numbers.freedom > 0, jnp.exp(numbers.mass - before), 0)
-    total = jnp.sum(weights)
-    square, freedom = (jnp.sum(jnp.where(weights > 0, weights * one, 0)) / jnp.where(total > 0, total, 1)
+    known = jnp.sum(weights)
+    square, freedom = (jnp.sum(jnp.where(weights > 0, weights * one, 0)) / jnp.where(known > 0, known, 1)
                        for one in (numbers.nis, numbers.freedom))  # fmt: skip
-    return with_innovation(info, Innovation(square, freedom)), log_sum
+    return with_innovation(info, Innovation(square, freedom)), total

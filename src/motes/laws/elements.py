@@ -1,12 +1,12 @@
 """Clouds of elements that devices share out: the law is that of all particles, its sums are formed for each element and added in order."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from motes.core import logspace
+from motes.core import engine
 from motes.core.devices import Crew, shared_out
 from motes.core.record import record, replace, static, values
 from motes.laws import circular
@@ -71,36 +71,117 @@ class Form:
         """Undo `cut`."""
         return self.each(lambda lane: lane.reshape(*lane.shape[:-2], -1), law)
 
+    def moments(self, law: Any, k: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return mean and covariance of an element of a cut law."""
+        own = self.each(lambda lane: _row(lane, k), law)
+        return own.mean(), own.cov()
+
     def axes(self, rest: int | None) -> Any:
         """Say to `vmap` where a cut law has the axis of elements, and where the arrays without particles have it."""
         return jax.tree.unflatten(self.tree, [-2 if lane else rest for lane in self.marks])
 
-    def one_by_one(self, function: Callable[[Any, jax.Array], Any], law: Any, twice: bool = False) -> Any:
-        """Apply a function to the law of each element of a cut law, and its number here, one after the other; results are `(e, ...)`.
+    def mapped(self, function: Callable[..., tuple[Any, Any]], at_once: bool, each: Any, law: Any, is_cut: bool) -> tuple[Any, Any]:
+        """Apply a function to the law of each element.
 
-        A product of matrices that runs over particles is rounded otherwise where it is one of several that are worked out at once; and a
-        loop that is gone through once is none to the compiler, which then has its own way with what is in it.
+        Args:
+            function: from what each element has of its own, and a law, to a law and a tree of arrays.
+            at_once: whether all elements are worked on at once, or one after the other (see `one_by_one`).
+            each: what each has of its own, a tree of arrays `(e, ...)`.
+            law: cut; or one that is not, and that each element is handed whole.
+            is_cut: which of both.
+
+        Returns:
+            A cut law, and a tree of arrays `(e, ...)`.
         """
-        count = law.log_weights.shape[0]
+        if at_once:
+            after, found = jax.vmap(function, (0, self.axes(None) if is_cut else None), (self.axes(0), 0))(each, law)
+        else:
 
-        def one(k: jax.Array) -> Any:
-            return function(self.each(lambda lane: jax.lax.dynamic_index_in_dim(lane, k, lane.ndim - 2, keepdims=False), law), k)
+            def one(k: jax.Array) -> tuple[Any, Any]:
+                own = jax.tree.map(lambda leaf: leaf[k], each)
+                return function(own, self.each(lambda lane: _row(lane, k), law) if is_cut else law)
 
-        if count == 1 and twice:
-            return jax.tree.map(lambda leaf: leaf[:1], jax.lax.map(one, jnp.zeros((2,), jnp.int32)))
-        return jax.lax.map(one, jnp.arange(count))
-
-    def first_of_rest(self, law: Any) -> Any:
-        """Take of the arrays without particles, which are the same for all elements, those of the first."""
-        lanes, rest = self.arrays(law)
-        return self.law(lanes, [leaf[0] for leaf in rest])
+            after, found = one_by_one(one, jax.tree.leaves(each)[0].shape[0])
+            after = self.each(lambda lane: jnp.moveaxis(lane, 0, -2), after)
+        # arrays without particles are the same for all elements
+        lanes, rest = self.arrays(after)
+        return self.law(lanes, [leaf[0] for leaf in rest]), found
 
 
-def log_masses(log_weights: jax.Array) -> jax.Array:
-    """Log of the mass of each element `(e,)`, from log weights `(e, m)`; minus infinity where it has none."""
-    top = jnp.max(log_weights, axis=-1)
+def _row(lane: jax.Array, k: jax.Array) -> jax.Array:
+    return jax.lax.dynamic_index_in_dim(lane, k, lane.ndim - 2, keepdims=False)
+
+
+def one_by_one(function: Callable[[jax.Array], Any], count: int) -> Any:
+    """Apply a function to each of `count` numbers, one after the other; results are `(count, ...)`.
+
+    What runs over particles is rounded otherwise by compilers where it is one of several that are worked out at once, and then depends on
+    how many there are on a device. A loop that is gone through once would be none to the compiler.
+    """
+
+    def none() -> Any:
+        return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+
+    shapes = jax.eval_shape(function, jnp.int32(0))
+    found = jax.lax.map(lambda k: jax.lax.cond(k < count, lambda: function(k), none), jnp.arange(max(count, 2)))
+    return jax.tree.map(lambda leaf: leaf[:count], found)
+
+
+class Sums(NamedTuple):
+    """Sums over particles that decide whether to resample; each is `()`, or that of each of several parts of the particles.
+
+    Attributes:
+        weights: of the weights.
+        squares: of their squares.
+        terms: of w log w.
+    """
+
+    weights: jax.Array
+    squares: jax.Array
+    terms: jax.Array
+
+    @classmethod
+    def of(cls, log_weights: jax.Array) -> "Sums":
+        """Sum log weights `(n,)`."""
+        weights = jnp.exp(log_weights)
+        terms = jnp.where(weights > 0, weights * log_weights, 0)
+        return cls(jnp.sum(weights), jnp.sum(weights**2), jnp.sum(terms))
+
+
+class Masses(NamedTuple):
+    """Sums over the particles of each element; all `(e,)`.
+
+    Attributes:
+        log: log of the sum of weights; minus infinity where all vanish.
+        sums: what policies ask of the weights.
+    """
+
+    log: jax.Array
+    sums: Sums
+
+
+def masses(log_weights: jax.Array) -> Masses:
+    """Sum log weights `(e, m)` over each element."""
+    found = masses_of(log_weights)
+    return Masses(found[:, 0], Sums(*(found[:, k] for k in (1, 2, 3))))
+
+
+@engine.replaceable
+def masses_of(log_weights: jax.Array) -> jax.Array:
+    """Log of the sum of weights, their sum, that of their squares, and that of w log w, `(e, 4)`, from log weights `(e, m)`."""
+
+    def one(k: jax.Array) -> jax.Array:
+        row = log_weights[k]
+        return jnp.stack([log_sum(row), *Sums.of(row)])
+
+    return one_by_one(one, log_weights.shape[0])
+
+
+def log_sum(logs: jax.Array) -> jax.Array:
+    """Log of the sum of what logs `(n,)` are given of; minus infinity where all are."""
+    top = jnp.max(logs)
     anchor = jnp.where(jnp.isfinite(top), top, 0)
-    return anchor + jnp.log(jnp.sum(jnp.exp(log_weights - anchor[:, None]), axis=-1))
+    return anchor + jnp.log(jnp.sum(jnp.exp(logs - anchor)))
 
 
 def within(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
@@ -131,13 +212,13 @@ class InElements(Law):
 
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             cut = form.cut(form.law(lanes, rest), crew.here)
-            masses = log_masses(cut.log_weights)
-            cut = jax.lax.optimization_barrier(replace(cut, log_weights=within(cut.log_weights, masses)))
-            mean, cov = form.one_by_one(lambda law, k: (law.mean(), law.cov()), cut)
-            return [], crew.gathered((masses, mean, cov))
+            mass = masses(cut.log_weights).log
+            cut = jax.lax.optimization_barrier(replace(cut, log_weights=within(cut.log_weights, mass)))
+            mean, cov = one_by_one(lambda k: form.moments(cut, k), crew.here)
+            return [], crew.gathered((mass, mean, cov))
 
-        _, (masses, means, covs) = shared_out(work, self.elements, *form.arrays(self.plain), ranks=[])
-        weights = jnp.exp(masses - jnp.max(masses))
+        _, (mass, means, covs) = shared_out(work, self.elements, *form.arrays(self.plain), ranks=[])
+        weights = jnp.exp(mass - jnp.max(mass))
         shares = (weights / jnp.sum(weights))[:, None]
         mean = jnp.sum(jnp.where(shares > 0, shares * means, 0), axis=0)
         off = means - mean
@@ -157,8 +238,7 @@ class InElements(Law):
         """Effective number of particles."""
 
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
-            cut = lanes[0].reshape(crew.here, -1)
-            return [], crew.gathered(jnp.sum(jnp.exp(2 * cut), axis=-1))
+            return [], crew.gathered(masses(lanes[0].reshape(crew.here, -1)).sums.squares)
 
         return 1 / jnp.sum(shared_out(work, self.elements, [self.log_weights], [], ranks=[])[1])  # type: ignore[attr-defined]
 
@@ -172,8 +252,8 @@ class InElements(Law):
 
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             def total(rows: jax.Array) -> jax.Array:
-                parts = jnp.sum(rows.reshape(rows.shape[0], crew.here, -1), axis=-1)
-                return jnp.sum(crew.gathered(parts.T), axis=0)
+                parts = rows.reshape(rows.shape[0], crew.here, -1)
+                return jnp.sum(crew.gathered(one_by_one(lambda k: jnp.sum(_row(parts, k), axis=-1), crew.here)), axis=0)
 
             return [circular.gathered(*lanes, angles, total)], ()
 

@@ -10,10 +10,11 @@ import jax.numpy as jnp
 from motes.core import engine, logspace, random
 from motes.core.engine import CompileError
 from motes.core.record import replace
-from motes.laws import cloud
+from motes.laws import cloud, elements
 from motes.native import report
 from motes.native.compile import HEADERS, begun, call_kernel, finished
 from motes.native.rules import kind_of
+from motes.resampling import allotment
 from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
 from motes.resampling.schemes import Given, Scheme, Systematic
 
@@ -144,5 +145,29 @@ def joint_weights(log_weights: jax.Array, log_likelihood: jax.Array, max_log_lik
     return differentiable(native, engine.original(logspace.joint_weights))(log_weights, log_likelihood, max_log_likelihood)
 
 
-for implementation in (normal_block, weighted_moments, resampled, joint_weights):
+def masses_of(log_weights: jax.Array) -> jax.Array | None:
+    """See `elements.masses_of`."""
+    (count, n), dtype = log_weights.shape, log_weights.dtype
+    if not usable(n, dtype):
+        return None
+    native = partial(_call, "masses", dtype, jax.ShapeDtypeStruct((count, 4), dtype))
+    return differentiable(native, engine.original(elements.masses_of))(log_weights)
+
+
+def ends(log_weights: jax.Array, numbers: jax.Array, whole: jax.Array) -> jax.Array | None:
+    """See `allotment.ends`."""
+    if not usable(log_weights.shape[1], log_weights.dtype, numbers.dtype):
+        return None
+    native = partial(_call, "ends", log_weights.dtype, jax.ShapeDtypeStruct(log_weights.shape, jnp.int32))
+    return differentiable(native, engine.original(allotment.ends))(log_weights, numbers, whole)
+
+
+def parents_of(ends: jax.Array, first: jax.Array | int, count: int) -> jax.Array | None:
+    """See `allotment.parents_of`."""
+    if not usable(ends.shape[0], jnp.float32):
+        return None
+    return _call("parents", jnp.float32, jax.ShapeDtypeStruct((count,), jnp.int32), ends, jnp.asarray(first, jnp.int32))
+
+
+for implementation in (normal_block, weighted_moments, resampled, joint_weights, masses_of, ends, parents_of):
     engine.offer(implementation.__name__, implementation)

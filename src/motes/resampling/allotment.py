@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from motes.core import engine
 from motes.core.devices import Crew
-from motes.laws.elements import within
+from motes.laws.elements import one_by_one, within
 from motes.resampling.schemes import boundaries, last_positive
 
 WIDTH = 16
@@ -50,27 +51,42 @@ def allotted(masses: jax.Array, u: jax.Array, n: int) -> Shares:
     return Shares(whole, part, size, jnp.concatenate([start, jnp.full((1,), n, jnp.int32)]))
 
 
-def ends_of(crew: Crew, log_weights: jax.Array, masses: jax.Array, shares: Shares, u: jax.Array) -> jax.Array:
+def ends_of(crew: Crew, log_weights: jax.Array, log_mass: jax.Array, shares: Shares, u: jax.Array) -> jax.Array:
     """Return where the children of each particle end, in the order of all, `(e, m)` int32.
 
     Args:
         crew: the elements here.
         log_weights: `(e, m)`, normalized over all.
-        masses: of the elements here, `(e,)`.
+        log_mass: of the elements here, `(e,)`.
         shares: of all elements.
         u: where the comb begins.
     """
-
-    def ends(log_weights: jax.Array, whole: jax.Array, part: jax.Array, size: jax.Array, start: jax.Array, end: jax.Array) -> jax.Array:
-        edge = boundaries(log_weights, size)
-        found = whole + edge.whole + jnp.ceil(edge.part + part - u).astype(jnp.int32)
-        last = jnp.arange(found.shape[0]) >= last_positive(jnp.exp(log_weights))
-        return jnp.where(last, end, jnp.clip(found, start, end))
-
-    own = [crew.own(one) for one in (shares.whole, shares.part, shares.size, shares.start[:-1], shares.start[1:])]
-    return jax.vmap(ends)(within(log_weights, jnp.log(masses)), *own)
+    own = [crew.own(one) for one in (shares.whole, shares.start[:-1], shares.start[1:])]
+    return ends(log_weights, jnp.stack([log_mass, crew.own(shares.size), crew.own(shares.part) - u], axis=1), jnp.stack(own, axis=1))
 
 
+@engine.replaceable
+def ends(log_weights: jax.Array, numbers: jax.Array, whole: jax.Array) -> jax.Array:
+    """Return where the children of the particles of each element end.
+
+    Args:
+        log_weights: `(e, m)`.
+        numbers: log of the sum of the weights, number of children, and what is added to their running sum, `(e, 3)`.
+        whole: the whole part of what is added, and where the first and the last end, `(e, 3)` int32.
+    """
+
+    def one(k: jax.Array) -> jax.Array:
+        log_mass, size, part = numbers[k]
+        before, start, end = whole[k]
+        own = within(log_weights[k][None], log_mass[None])[0]
+        edge = boundaries(own, size)
+        found = before + edge.whole + jnp.ceil(edge.part + part).astype(jnp.int32)
+        return jnp.where(jnp.arange(found.shape[0]) >= last_positive(jnp.exp(own)), end, jnp.clip(found, start, end))
+
+    return one_by_one(one, log_weights.shape[0])
+
+
+@engine.replaceable
 def parents_of(ends: jax.Array, first: jax.Array | int, count: int) -> jax.Array:
     """Return the parent of each of `count` slots from `first` on, from the ends `(s,)` of the children of particles: indices into these.
 

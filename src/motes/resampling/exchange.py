@@ -13,9 +13,9 @@ import jax.numpy as jnp
 from motes.core import checks, random
 from motes.core.devices import Crew
 from motes.core.record import record, replace, static
-from motes.laws.elements import Form, log_masses, within
+from motes.laws.elements import Form, Sums, masses, within
 from motes.resampling.allotment import Children, allotted, as_wide, delivered, ends_of
-from motes.resampling.policy import Policy, Sums
+from motes.resampling.policy import Policy
 from motes.resampling.schemes import Given
 
 
@@ -25,13 +25,13 @@ class Handed(NamedTuple):
     Attributes:
         law: particles to begin with: cut `(..., e, m)`, or not `(..., s)` where `given` picks from them.
         given: children of each element, arrays `(e, m)`; None where the filter resamples itself.
-        masses: log masses of the elements after that, `(e,)`.
+        log_mass: log masses of the elements after that, `(e,)`.
         origin: the index of each particle among all those of the step before, `(e, m)`.
     """
 
     law: Any
     given: Given | None
-    masses: jax.Array
+    log_mass: jax.Array
     origin: jax.Array
 
 
@@ -75,8 +75,8 @@ class Apart(Exchange):
         size = cut.log_weights.shape[-1]
         first = (crew.first + jnp.arange(crew.here, dtype=jnp.int32)) * size
         cut, origin = self.swapped(crew, form, cut, first[:, None] + jnp.arange(size, dtype=jnp.int32), t)
-        masses = log_masses(cut.log_weights)
-        return Handed(replace(cut, log_weights=within(cut.log_weights, masses)), None, masses, origin)
+        log_mass = masses(cut.log_weights).log
+        return Handed(replace(cut, log_weights=within(cut.log_weights, log_mass)), None, log_mass, origin)
 
     def swapped(self, crew: Crew, form: Form, cut: Any, origin: jax.Array, t: Any) -> tuple[Any, jax.Array]:
         """Return the cut law and the origin of its particles once they have been exchanged."""
@@ -195,28 +195,27 @@ class Proportional(Exchange):
         lanes, rest = form.particles(law)
         log_weights = law.log_weights.reshape(crew.here, -1)
         n, size = crew.elements * log_weights.shape[1], log_weights.shape[1]
-        own = Sums.of(log_weights)
-        sums = crew.gathered(own)
+        own = masses(log_weights)
+        sums = crew.gathered(own.sums)
         assert policy is not None
         needed = policy.needed_by(Sums(*(jnp.sum(each) for each in sums)), n)
         u = random.uniform(key, (), log_weights.dtype)
-        masses = jnp.log(own.weights)
 
         def anew() -> tuple[Any, ...]:
             shares = allotted(sums.weights, u, n)
-            ends = ends_of(crew, log_weights, own.weights, shares, u)
+            ends = ends_of(crew, log_weights, own.log, shares, u)
             found = delivered(crew, lanes, ends.reshape(-1), shares.start)
-            equal = jnp.full_like(masses, -jnp.log(crew.elements))
+            equal = jnp.full_like(own.log, -jnp.log(crew.elements))
             return found, jnp.full_like(log_weights, -jnp.log(size)), equal
 
         def as_before() -> tuple[Any, ...]:
             indices = jnp.arange(log_weights.size, dtype=jnp.int32)
             found = Children(as_wide(crew, lanes), indices, crew.place * log_weights.size + indices)
-            return found, within(log_weights, masses), masses
+            return found, within(log_weights, own.log), own.log
 
         if isinstance(needed, bool):
-            found, weights, masses = anew() if needed else as_before()
+            found, weights, log_mass = anew() if needed else as_before()
         else:
-            found, weights, masses = jax.lax.cond(needed, anew, as_before)
+            found, weights, log_mass = jax.lax.cond(needed, anew, as_before)
         given = Given(found.indices.reshape(log_weights.shape), weights)
-        return Handed(form.of_particles(found.source, rest), given, masses, found.ancestors.reshape(log_weights.shape))
+        return Handed(form.of_particles(found.source, rest), given, log_mass, found.ancestors.reshape(log_weights.shape))

@@ -1,36 +1,15 @@
 """When to resample: a value apart from how (schemes.py)."""
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from motes.core import checks, engine, logspace
 from motes.core.record import record
+from motes.laws.elements import Sums
 from motes.resampling import gradients
 from motes.resampling.schemes import Scheme, W
-
-
-class Sums(NamedTuple):
-    """Sums over all particles that decide whether to resample; each is `()`, or that of each of several parts of the particles.
-
-    Attributes:
-        weights: of the weights.
-        squares: of their squares.
-        terms: of w log w.
-    """
-
-    weights: jax.Array
-    squares: jax.Array
-    terms: jax.Array
-
-    @classmethod
-    def of(cls, log_weights: jax.Array) -> "Sums":
-        """Sum log weights `(..., n)` over their last axis."""
-        weights = jnp.exp(log_weights)
-        terms = jnp.where(weights > 0, weights * log_weights, 0)
-        return cls(jnp.sum(weights, axis=-1), jnp.sum(weights**2, axis=-1), jnp.sum(terms, axis=-1))
 
 
 class Policy(ABC):
