@@ -16,11 +16,12 @@ import jax.numpy as jnp
 from motes.core import checks, engine, random
 from motes.core.devices import Crew, shared_out
 from motes.core.record import record, replace, static
+from motes.filters import alarm
 from motes.filters.alarm import Innovation
 from motes.filters.info import Info, info_of, with_innovation
 from motes.filters.interface import Filter, Guide, TwoStageFilter
 from motes.filters.wrapper import Around
-from motes.laws.elements import Form, Sums, added, in_elements, log_sum, masses, within
+from motes.laws.elements import Form, Sums, added, in_elements, log_sum, masses, one_by_one, row, within
 from motes.laws.observed import is_nothing
 from motes.native import blocks
 from motes.resampling.exchange import Exchange, Proportional
@@ -137,19 +138,27 @@ class Distributed(Around, TwoStageFilter):
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             law = form.cut(form.law(lanes, rest), crew.here)
             log_mass = masses(law.log_weights).log
-            law = jax.lax.optimization_barrier(replace(law, log_weights=within(law.log_weights, log_mass)))
+            law = replace(law, log_weights=jax.lax.optimization_barrier(within(law.log_weights, log_mass)))
             keys = crew.own(random.step_keys(key, self.elements))
             stage = lambda key, law: self._each.correct(key, model, law, y, u, t)  # noqa: E731
             at_once = self._at_once(law)
             after, info = form.mapped(stage, at_once, keys, law, True)
             if at_once:
-                # what the alarm asks for is worked out by JAX, one after the other
-                with engine.using("jax"):
-                    _, seen = form.mapped(lambda key, law: (law, stage(key, law)[1]), False, keys, law, True)
-                info = replace(info, nis=seen.nis, freedom=seen.freedom)
+                info = self._with_alarm(stage, form, keys, law, info)
             return _finished(crew, form, log_mass, after, info)
 
         return self._taken(form, shared_out(work, self.elements, *form.arrays(state.plain), ranks=form.ranks))
+
+    def _with_alarm(self, stage: Callable[[jax.Array, Any], tuple[Any, Info]], form: Form, keys: jax.Array, law: Any, info: Info) -> Info:
+        """Ask a few particles of each element for the alarm, one element after the other: JAX works it out, not kernels."""
+        few = form.each(lambda lane: lane[..., alarm.some_of(self.size)], law)
+
+        def innovation(k: jax.Array) -> Innovation:
+            with engine.using("jax"):
+                seen = stage(keys[k], form.each(lambda lane: row(lane, k), few))[1]
+            return Innovation(seen.nis, seen.freedom)
+
+        return with_innovation(info, one_by_one(innovation, keys.shape[0]))
 
     def step(self, key: jax.Array, model: Any, state: Any, y: Any, u: Any, t: Any) -> tuple[Any, Info]:
         """Go to the next time t and take in its measurement."""
@@ -224,12 +233,12 @@ def _finished(crew: Crew, form: Form, log_mass: jax.Array, law: Any, info: Info 
         info: of each element here.
     """
     # barriers: what is rounded how must not depend on what stands beside it, which differs with the number of elements here
-    law, info, log_mass = jax.lax.optimization_barrier((law, info, log_mass))
+    log_weights, info, log_mass = jax.lax.optimization_barrier((law.log_weights, info, log_mass))
     if info is not None:
         own = _Numbers(log_mass, *(getattr(info, name) for name in _Numbers._fields[1:]))
         info, total = _together(crew.gathered(own))
         log_mass = log_mass + own.log_evidence - total
-    law = replace(law, log_weights=added(law.log_weights, log_mass))
+    law = replace(law, log_weights=added(log_weights, log_mass))
     lanes, rest = form.arrays(form.uncut(law))
     return lanes, (rest, info)
 

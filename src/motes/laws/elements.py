@@ -10,7 +10,7 @@ from motes.core import engine
 from motes.core.devices import Crew, shared_out
 from motes.core.record import record, replace, static, values
 from motes.laws import circular
-from motes.laws.cloud import Cloud
+from motes.laws.cloud import Cloud, weighted_moments
 from motes.laws.law import Law
 from motes.laws.marginal_cloud import MarginalCloud
 
@@ -71,11 +71,6 @@ class Form:
         """Undo `cut`."""
         return self.each(lambda lane: lane.reshape(*lane.shape[:-2], -1), law)
 
-    def moments(self, law: Any, k: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return mean and covariance of an element of a cut law."""
-        own = self.each(lambda lane: _row(lane, k), law)
-        return own.mean(), own.cov()
-
     def axes(self, rest: int | None) -> Any:
         """Say to `vmap` where a cut law has the axis of elements, and where the arrays without particles have it."""
         return jax.tree.unflatten(self.tree, [-2 if lane else rest for lane in self.marks])
@@ -94,12 +89,13 @@ class Form:
             A cut law, and a tree of arrays `(e, ...)`.
         """
         if at_once:
-            after, found = jax.vmap(function, (0, self.axes(None) if is_cut else None), (self.axes(0), 0))(each, law)
+            with engine.for_elements():
+                after, found = jax.vmap(function, (0, self.axes(None) if is_cut else None), (self.axes(0), 0))(each, law)
         else:
 
             def one(k: jax.Array) -> tuple[Any, Any]:
                 own = jax.tree.map(lambda leaf: leaf[k], each)
-                return function(own, self.each(lambda lane: _row(lane, k), law) if is_cut else law)
+                return function(own, self.each(lambda lane: row(lane, k), law) if is_cut else law)
 
             after, found = one_by_one(one, jax.tree.leaves(each)[0].shape[0])
             after = self.each(lambda lane: jnp.moveaxis(lane, 0, -2), after)
@@ -108,7 +104,8 @@ class Form:
         return self.law(lanes, [leaf[0] for leaf in rest]), found
 
 
-def _row(lane: jax.Array, k: jax.Array) -> jax.Array:
+def row(lane: jax.Array, k: jax.Array) -> jax.Array:
+    """Return the part `(..., m)` of an element of an array `(..., e, m)`."""
     return jax.lax.dynamic_index_in_dim(lane, k, lane.ndim - 2, keepdims=False)
 
 
@@ -195,6 +192,12 @@ def added(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
     return jnp.where(jnp.isfinite(masses)[:, None], log_weights + masses[:, None], -jnp.inf)
 
 
+@engine.replaceable
+def moments_of(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return means `(e, x)` and covariances `(e, x, x)` of points `(x, e, m)` under log weights `(e, m)`, normalized within each element."""
+    return one_by_one(lambda k: weighted_moments(log_weights[k], row(points, k)), log_weights.shape[0])
+
+
 class InElements(Law):
     """What a law of K elements says itself; it is put before the class of the law."""
 
@@ -214,7 +217,7 @@ class InElements(Law):
             cut = form.cut(form.law(lanes, rest), crew.here)
             mass = masses(cut.log_weights).log
             cut = jax.lax.optimization_barrier(replace(cut, log_weights=within(cut.log_weights, mass)))
-            mean, cov = one_by_one(lambda k: form.moments(cut, k), crew.here)
+            mean, cov = self._moments_of(form, cut)
             return [], crew.gathered((mass, mean, cov))
 
         _, (mass, means, covs) = shared_out(work, self.elements, *form.arrays(self.plain), ranks=[])
@@ -225,6 +228,15 @@ class InElements(Law):
         covs = covs + off[:, :, None] * off[:, None, :]
         shares = shares[..., None]
         return mean, jnp.sum(jnp.where(shares > 0, shares * covs, 0), axis=0)
+
+    def _moments_of(self, form: Form, law: Any) -> tuple[jax.Array, jax.Array]:
+        """Return means `(e, x)` and covariances `(e, x, x)` of the elements of a cut law."""
+
+        def moments(k: jax.Array) -> tuple[jax.Array, jax.Array]:
+            own = form.each(lambda lane: row(lane, k), law)
+            return own.mean(), own.cov()
+
+        return one_by_one(moments, law.log_weights.shape[0])
 
     def mean(self) -> jax.Array:
         """Mean, `(x,)`."""
@@ -253,7 +265,7 @@ class InElements(Law):
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             def total(rows: jax.Array) -> jax.Array:
                 parts = rows.reshape(rows.shape[0], crew.here, -1)
-                return jnp.sum(crew.gathered(one_by_one(lambda k: jnp.sum(_row(parts, k), axis=-1), crew.here)), axis=0)
+                return jnp.sum(crew.gathered(one_by_one(lambda k: jnp.sum(row(parts, k), axis=-1), crew.here)), axis=0)
 
             return [circular.gathered(*lanes, angles, total)], ()
 
@@ -272,6 +284,9 @@ class ElementCloud(InElements, Cloud):
     """
 
     elements: int = static(default=1)
+
+    def _moments_of(self, form: Form, law: Any) -> tuple[jax.Array, jax.Array]:
+        return moments_of(law.log_weights, law.particles)
 
     def gathered(self, angles: tuple[int, ...]) -> "ElementCloud":
         """Return the cloud with particles on one branch of the states that are angles."""

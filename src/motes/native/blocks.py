@@ -12,7 +12,7 @@ from motes.core.engine import CompileError
 from motes.core.record import replace
 from motes.laws import cloud, elements
 from motes.native import report
-from motes.native.compile import HEADERS, begun, call_kernel, finished
+from motes.native.compile import HEADERS, begun, call_kernel, call_on_particles, finished
 from motes.native.rules import kind_of
 from motes.resampling import allotment
 from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
@@ -85,7 +85,7 @@ def normal_block(key: jax.Array, rows: int, n: int, dtype: Any) -> jax.Array | N
     """See `random.normal_block`."""
     if not rows or not usable(n, dtype):
         return None
-    return _call("normal_block", dtype, jax.ShapeDtypeStruct((rows, n), dtype), key)
+    return call_on_particles(_without_model(dtype), "motes_normal_block", jax.ShapeDtypeStruct((rows, n), dtype), (), [key])
 
 
 def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array] | None:
@@ -96,8 +96,11 @@ def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Arr
         return None
     full = [part for part in parts if part.shape[0]]
     shapes = (jax.ShapeDtypeStruct((size,), dtype), jax.ShapeDtypeStruct((size, size), dtype))
-    native = partial(_call, "moments", dtype, shapes)
-    return differentiable(lambda *given: tuple(native(*given)), engine.original(cloud.weighted_moments))(log_weights, *full)
+
+    def native(*given: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return tuple(call_on_particles(_without_model(dtype), "motes_moments", shapes, given, gives_particles=False))
+
+    return differentiable(native, engine.original(cloud.weighted_moments))(log_weights, *full)
 
 
 def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.Array) -> tuple[jax.Array, jax.Array] | None:
@@ -154,6 +157,14 @@ def masses_of(log_weights: jax.Array) -> jax.Array | None:
     return differentiable(native, engine.original(elements.masses_of))(log_weights)
 
 
+def moments_of(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, jax.Array] | None:
+    """See `elements.moments_of`."""
+    if points.shape[0] > MOST_ROWS or not usable(log_weights.shape[1], log_weights.dtype, points.dtype):
+        return None
+    with engine.for_elements():
+        return jax.vmap(cloud.weighted_moments, (0, 1))(log_weights, points)
+
+
 def ends(log_weights: jax.Array, numbers: jax.Array, whole: jax.Array) -> jax.Array | None:
     """See `allotment.ends`."""
     if not usable(log_weights.shape[1], log_weights.dtype, numbers.dtype):
@@ -169,5 +180,5 @@ def parents_of(ends: jax.Array, first: jax.Array | int, count: int) -> jax.Array
     return _call("parents", jnp.float32, jax.ShapeDtypeStruct((count,), jnp.int32), ends, jnp.asarray(first, jnp.int32))
 
 
-for implementation in (normal_block, weighted_moments, resampled, joint_weights, masses_of, ends, parents_of):
+for implementation in (normal_block, weighted_moments, resampled, joint_weights, masses_of, moments_of, ends, parents_of):
     engine.offer(implementation.__name__, implementation)

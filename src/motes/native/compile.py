@@ -10,14 +10,17 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jaxlib import version
 
+from motes.core import engine
 from motes.core.engine import CompileError
 from motes.core.kept import private_folder, processor, prune
 from motes.io.unfinished import unfinished
@@ -177,6 +180,47 @@ def call_kernel(source: str, symbol: str, results: Any, *operands: jax.Array) ->
     mark = begun(source)
     first = before_compiling(operands[0], _register, mark, symbol)
     return jax.ffi.ffi_call(_name(mark, symbol), results, vmap_method="expand_dims")(first, *operands[1:])
+
+
+def call_on_particles(
+    source: str, symbol: str, results: Any, operands: Sequence[jax.Array], others: Sequence[jax.Array] = (), gives_particles: bool = True
+) -> Any:
+    """Call a kernel that has a form for clouds cut into elements, where elements are what is worked on at once (`engine.of_elements`).
+
+    Args:
+        source: C++.
+        symbol: name of the kernel in it; that of the other form ends in `_cut`.
+        results: shapes and types of what it gives, one or several.
+        operands: arrays; the last axis of those of more than one is that of the particles.
+        others: more operands, without particles.
+        gives_particles: whether that is so of the results, too.
+    """
+    if not engine.of_elements():
+        return call_kernel(source, symbol, results, *operands, *others)
+    several = isinstance(results, (list, tuple))
+    shapes, count = (list(results) if several else [results]), len(operands)
+
+    @jax.custom_batching.custom_vmap
+    def call(*given: jax.Array) -> list[jax.Array]:
+        return list(call_kernel(source, symbol, shapes, *given))
+
+    @call.def_vmap
+    def cut(size: int, batched: list[bool], *given: jax.Array) -> tuple[list[jax.Array], list[bool]]:
+        # the axis of the elements is moved back to where it came from: nothing is copied
+        handed = []
+        for i, (array, own) in enumerate(zip(given, batched, strict=True)):
+            if i < count and array.ndim - own > 1:
+                handed.append(jnp.moveaxis(array, 0, -2) if own else array[..., None, :])
+            else:
+                handed.append(array if own else array[None])
+        rows = [gives_particles and len(shape.shape) > 1 for shape in shapes]
+        wanted = [jax.ShapeDtypeStruct((*one.shape[:-1], size, one.shape[-1]) if lanes else (size, *one.shape), one.dtype)
+                  for lanes, one in zip(rows, shapes, strict=True)]  # fmt: skip
+        found = call_kernel(source, f"{symbol}_cut", wanted, *handed)
+        return [jnp.moveaxis(one, -2, 0) if lanes else one for lanes, one in zip(rows, found, strict=True)], [True] * len(shapes)
+
+    found = call(*operands, *others)
+    return found if several else found[0]
 
 
 def _name(mark: str, symbol: str) -> str:

@@ -4,22 +4,23 @@
 using namespace motes;
 
 // args: key `(2)`; rets: normal numbers `(rows, n)`
-static void normal_block(const Frame& frame, const Team& team) {
+static void normal_block(const Frame& frame, const Team& team, bool cut) {
   Operand out = frame.ret(0);
-  Batch batch(out, 2);
-  int64_t n = out.dims[out.rank - 1], rows = out.dims[out.rank - 2];
+  Batch batch(out, 2, cut);
+  int64_t n = out.dims[out.rank - 1], rows = out.dims[out.rank - (cut ? 3 : 2)];
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
     const uint32_t* key = batch.of<const uint32_t>(frame.arg(0), run);
-    Real* data = batch.of<Real>(out, run);
+    int64_t apart;
+    Real* data = batch.rows<Real>(out, run, apart);
     own.each(blocks_of(n), [=](int64_t b) {
       Scratch memory(sizeof(Real) * BLOCK * rows);
       auto* noise = memory.as<Real[BLOCK]>();
       normals({key[0], key[1]}, (uint32_t)(b * BLOCK), (int)rows, noise);
-      for (int64_t r = 0; r < rows; r++) __builtin_memcpy(data + r * n + b * BLOCK, noise[r], sizeof(Real) * length_of(b, n));
+      for (int64_t r = 0; r < rows; r++) __builtin_memcpy(data + r * apart + b * BLOCK, noise[r], sizeof(Real) * length_of(b, n));
     });
   });
 }
-MOTES_KERNEL(motes_normal_block, normal_block)
+MOTES_KERNELS(motes_normal_block, normal_block)
 
 // args: log weights `(n)`, `(uniform number, threshold, policy)`; rets: ancestors `(n)`, log weights `(n)`
 static void ancestors(const Frame& frame, const Team& team) {
@@ -36,7 +37,7 @@ MOTES_KERNEL(motes_ancestors, ancestors)
 
 // args: log likelihoods `(n)`, log weights `(n)`, the largest that each could be `(n)`; rets: log weights `(n)`, judgement `(6)`
 static void weigh(const Frame& frame, const Team& team) {
-  weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t) {
+  weigh_runs(frame, team, false, [=](const Batch& batch, int64_t run, int64_t) {
     const Real* likelihood = batch.of<const Real>(frame.arg(0), run);
     const Real* maximum = batch.of<const Real>(frame.arg(2), run);
     return [=](int64_t b, Real*, Real*) { return Seen{likelihood + b * BLOCK, maximum + b * BLOCK}; };
@@ -211,9 +212,11 @@ static void block_moments(const Real* const* rows, int x, const Real* __restrict
 }
 
 // args: log weights `(n)`, points `(x, n)`, more points; rets: mean `(x)`, covariance `(x, x)`
-static void moments(const Frame& frame, const Team& team) {
+static void moments(const Frame& frame, const Team& team, bool cut) {
   Operand out = frame.ret(0);
   Batch batch(out, 1);
+  Batch points(out, 1);
+  points.cut = cut;
   Operand given = frame.arg(0);
   int64_t n = given.dims[given.rank - 1], x = out.dims[out.rank - 1], blocks = blocks_of(n), size = 1 + x + x * (x + 1) / 2;
   int64_t parts = frame.call->args.size - 1;
@@ -225,9 +228,10 @@ static void moments(const Frame& frame, const Team& team) {
       const Real* rows[MOST_ROWS];
       int at = 0;
       for (int64_t part = 1; part <= parts; part++) {
-        Operand points = frame.arg((int)part);
-        const Real* data = batch.of<const Real>(points, run);
-        for (int64_t r = 0; r < points.dims[points.rank - 2]; r++) rows[at++] = data + r * n + b * BLOCK;
+        Operand one = frame.arg((int)part);
+        int64_t apart;
+        const Real* data = points.rows<const Real>(one, run, apart);
+        for (int64_t r = 0; r < one.dims[one.rank - (cut ? 3 : 2)]; r++) rows[at++] = data + r * apart + b * BLOCK;
       }
       block_moments(rows, (int)x, log_weights + b * BLOCK, length_of(b, n), found + b * size);
     });
@@ -253,4 +257,4 @@ static void moments(const Frame& frame, const Team& team) {
     }
   });
 }
-MOTES_KERNEL(motes_moments, moments)
+MOTES_KERNELS(motes_moments, moments)

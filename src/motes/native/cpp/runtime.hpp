@@ -27,23 +27,41 @@ struct Frame {
 };
 
 // The runs of a batch; `like` is a result, which has all axes of the batch.
+// Where a cloud is cut into elements, the last axis of the batch, that of the elements, stands before the particles in arrays of more than
+// one row, `(rows, elements, n)`: so a cut cloud lies in memory as one that is not.
 struct Batch {
-  int64_t axes, count = 1;
-  const int64_t* dims;
-  Batch(const Operand& like, int64_t small) : axes(like.rank - small), dims(like.dims) {
-    for (int64_t a = 0; a < axes; a++) count *= dims[a];
+  static constexpr int MOST = 16;
+  int64_t axes, count = 1, sizes[MOST];
+  bool cut;
+  Batch(const Operand& like, int64_t small, bool cut = false) : axes(like.rank - small), cut(cut) {
+    if (axes > MOST) abort();
+    for (int64_t a = 0; a < axes; a++) sizes[a] = like.dims[cut && a == axes - 1 ? like.rank - 2 : a], count *= sizes[a];
   }
   template <class T>
   T* of(const Operand& operand, int64_t run) const { return (T*)at(operand, run, sizeof(T)); }
   // elements of so many bytes
-  void* at(const Operand& operand, int64_t run, int64_t bytes) const {
-    int64_t size = bytes, offset = 0;
-    for (int64_t a = axes; a < operand.rank; a++) size *= operand.dims[a];
-    for (int64_t a = axes; a-- > 0;) {
-      if (operand.dims[a] != 1) offset += run % dims[a] * size, size *= operand.dims[a];
-      run /= dims[a];
+  void* at(const Operand& operand, int64_t run, int64_t bytes) const { return operand.data + offset(operand, run, bytes, axes); }
+  // the first row of an array of particles, and how far apart rows are
+  template <class T>
+  T* rows(const Operand& operand, int64_t run, int64_t& apart) const {
+    int64_t n = operand.dims[operand.rank - 1];
+    apart = n;
+    if (!cut) return of<T>(operand, run);
+    int64_t elements = operand.dims[operand.rank - 2];
+    apart = n * elements;
+    T* data = (T*)(operand.data + offset(operand, run / sizes[axes - 1], sizeof(T), axes - 1));
+    return data + (elements == 1 ? 0 : run % sizes[axes - 1] * n);
+  }
+
+ private:
+  int64_t offset(const Operand& operand, int64_t run, int64_t bytes, int64_t first) const {
+    int64_t size = bytes, found = 0;
+    for (int64_t a = first; a < operand.rank; a++) size *= operand.dims[a];
+    for (int64_t a = first; a-- > 0;) {
+      if (operand.dims[a] != 1) found += run % sizes[a] * size, size *= operand.dims[a];
+      run /= sizes[a];
     }
-    return operand.data + offset;
+    return found;
   }
 };
 
@@ -189,5 +207,12 @@ static inline bool asked_for_metadata(XLA_FFI_CallFrame* call) {
     body(motes::Frame{call}, motes::Team(call));                     \
     return nullptr;                                                  \
   }
+
+// The same for a cloud as it is, and for one that is cut into elements.
+#define MOTES_KERNELS(name, body)                                                                        \
+  static void name##_whole(const motes::Frame& frame, const motes::Team& team) { body(frame, team, false); } \
+  static void name##_in_elements(const motes::Frame& frame, const motes::Team& team) { body(frame, team, true); } \
+  MOTES_KERNEL(name, name##_whole)                                                                       \
+  MOTES_KERNEL(name##_cut, name##_in_elements)
 
 }  // namespace motes
