@@ -85,7 +85,8 @@ def normal_block(key: jax.Array, rows: int, n: int, dtype: Any) -> jax.Array | N
     """See `random.normal_block`."""
     if not rows or not usable(n, dtype):
         return None
-    return call_on_particles(_without_model(dtype), "motes_normal_block", jax.ShapeDtypeStruct((rows, n), dtype), (), [key])
+    shapes = [jax.ShapeDtypeStruct((rows, n), dtype)]
+    return call_on_particles(_without_model(dtype), "motes_normal_block", shapes, [key], ([False], [True]))[0]
 
 
 def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array] | None:
@@ -98,7 +99,8 @@ def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Arr
     shapes = (jax.ShapeDtypeStruct((size,), dtype), jax.ShapeDtypeStruct((size, size), dtype))
 
     def native(*given: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return tuple(call_on_particles(_without_model(dtype), "motes_moments", shapes, given, gives_particles=False))
+        of_particles = ([True] * len(given), [False, False])
+        return tuple(call_on_particles(_without_model(dtype), "motes_moments", shapes, given, of_particles))
 
     return differentiable(native, engine.original(cloud.weighted_moments))(log_weights, *full)
 

@@ -175,8 +175,8 @@ struct Model {{
     }}
   }}
 }};
-static void run(const Frame& frame, const Team& team, bool cut) {{ motes::{kind}<Model>(frame, team, cut); }}
-MOTES_KERNELS({kind}, run)
+static void run(const Frame& frame, const Team& team) {{ motes::{kind}<Model>(frame, team); }}
+MOTES_KERNEL({kind}, run)
 """
 
 
@@ -213,4 +213,6 @@ def call_weigh(
 
 def _call(stage: Stage, results: Sequence[Any], tables: Sequence[jax.Array], *operands: jax.Array) -> Sequence[jax.Array]:
     shapes = [jax.ShapeDtypeStruct(result.shape, result.dtype) for result in results]
-    return call_on_particles(stage.source, stage.kind, shapes, operands, tables)
+    # all but the words, and the judgement
+    of_particles = ([False, *[True] * (len(operands) - 1)], [shape.shape != (6,) for shape in shapes])
+    return call_on_particles(stage.source, stage.kind, shapes, [*operands, *tables], of_particles)

@@ -4,10 +4,10 @@
 using namespace motes;
 
 // args: key `(2)`; rets: normal numbers `(rows, n)`
-static void normal_block(const Frame& frame, const Team& team, bool cut) {
+static void normal_block(const Frame& frame, const Team& team) {
   Operand out = frame.ret(0);
-  Batch batch(out, 2, cut);
-  int64_t n = out.dims[out.rank - 1], rows = out.dims[out.rank - (cut ? 3 : 2)];
+  Batch batch(out, 2, frame.elements());
+  int64_t n = batch.length(out), rows = out.dims[out.rank - 2];
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
     const uint32_t* key = batch.of<const uint32_t>(frame.arg(0), run);
     int64_t apart;
@@ -20,7 +20,7 @@ static void normal_block(const Frame& frame, const Team& team, bool cut) {
     });
   });
 }
-MOTES_KERNELS(motes_normal_block, normal_block)
+MOTES_KERNEL(motes_normal_block, normal_block)
 
 // args: log weights `(n)`, `(uniform number, threshold, policy)`; rets: ancestors `(n)`, log weights `(n)`
 static void ancestors(const Frame& frame, const Team& team) {
@@ -37,7 +37,7 @@ MOTES_KERNEL(motes_ancestors, ancestors)
 
 // args: log likelihoods `(n)`, log weights `(n)`, the largest that each could be `(n)`; rets: log weights `(n)`, judgement `(6)`
 static void weigh(const Frame& frame, const Team& team) {
-  weigh_runs(frame, team, false, [=](const Batch& batch, int64_t run, int64_t) {
+  weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t) {
     const Real* likelihood = batch.of<const Real>(frame.arg(0), run);
     const Real* maximum = batch.of<const Real>(frame.arg(2), run);
     return [=](int64_t b, Real*, Real*) { return Seen{likelihood + b * BLOCK, maximum + b * BLOCK}; };
@@ -212,16 +212,14 @@ static void block_moments(const Real* const* rows, int x, const Real* __restrict
 }
 
 // args: log weights `(n)`, points `(x, n)`, more points; rets: mean `(x)`, covariance `(x, x)`
-static void moments(const Frame& frame, const Team& team, bool cut) {
+static void moments(const Frame& frame, const Team& team) {
   Operand out = frame.ret(0);
-  Batch batch(out, 1);
-  Batch points(out, 1);
-  points.cut = cut;
+  Batch batch(out, 1, frame.elements(), false);
   Operand given = frame.arg(0);
-  int64_t n = given.dims[given.rank - 1], x = out.dims[out.rank - 1], blocks = blocks_of(n), size = 1 + x + x * (x + 1) / 2;
+  int64_t n = batch.length(given), x = out.dims[out.rank - 1], blocks = blocks_of(n), size = 1 + x + x * (x + 1) / 2;
   int64_t parts = frame.call->args.size - 1;
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
-    const Real* log_weights = batch.of<const Real>(given, run);
+    const Real* log_weights = batch.row<const Real>(given, run);
     Scratch memory(sizeof(double) * size * blocks);
     double* found = memory.as<double>();
     own.each(blocks, [=](int64_t b) {
@@ -230,8 +228,8 @@ static void moments(const Frame& frame, const Team& team, bool cut) {
       for (int64_t part = 1; part <= parts; part++) {
         Operand one = frame.arg((int)part);
         int64_t apart;
-        const Real* data = points.rows<const Real>(one, run, apart);
-        for (int64_t r = 0; r < one.dims[one.rank - (cut ? 3 : 2)]; r++) rows[at++] = data + r * apart + b * BLOCK;
+        const Real* data = batch.rows<const Real>(one, run, apart);
+        for (int64_t r = 0; r < one.dims[one.rank - 2]; r++) rows[at++] = data + r * apart + b * BLOCK;
       }
       block_moments(rows, (int)x, log_weights + b * BLOCK, length_of(b, n), found + b * size);
     });
@@ -257,4 +255,4 @@ static void moments(const Frame& frame, const Team& team, bool cut) {
     }
   });
 }
-MOTES_KERNELS(motes_moments, moments)
+MOTES_KERNEL(motes_moments, moments)

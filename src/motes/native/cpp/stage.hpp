@@ -46,13 +46,13 @@ static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, 
 
 // args: parameters, ancestors `(n)`, leaves, tables; rets: changed leaves
 template <class Model>
-static void move(const Frame& frame, const Team& team, bool cut) {
+static void move(const Frame& frame, const Team& team) {
   Operand like = frame.ret(0);
-  Batch batch(like, Model::OUT_RANKS[0], cut);
-  int64_t n = like.dims[like.rank - 1];
+  Batch batch(like, Model::OUT_RANKS[0], frame.elements());
+  int64_t n = batch.length(like);
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
     const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
-    const int32_t* ancestors = batch.of<const int32_t>(frame.arg(1), run);
+    const int32_t* ancestors = batch.row<const int32_t>(frame.arg(1), run);
     Rows<Model> rows = rows_of<Model>(frame, batch, run, 0);
     own.each(blocks_of(n), [=](int64_t b) {
       alignas(64) Real noise[Model::NOISE + 1][BLOCK];
@@ -64,8 +64,8 @@ static void move(const Frame& frame, const Team& team, bool cut) {
 
 // args: parameters, log weights `(n)`, leaves, tables; rets: log weights `(n)`, judgement `(6)`, changed leaves
 template <class Model>
-static void weigh(const Frame& frame, const Team& team, bool cut) {
-  weigh_runs(frame, team, cut, [=](const Batch& batch, int64_t run, int64_t n) {
+static void weigh(const Frame& frame, const Team& team) {
+  weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t n) {
     const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
     Rows<Model> rows = rows_of<Model>(frame, batch, run, 2);
     return [=](int64_t b, Real* likelihood, Real* maximum) {
