@@ -19,6 +19,7 @@ from .core.checks import FileError as FileError
 from .core.checks import MissingExtraError as MissingExtraError
 from .core.checks import MotesError as MotesError
 from .core.checks import MotesWarning as MotesWarning
+from .core.devices import devices as devices
 from .core.hosts import join as join
 from .core.record import record as record
 from .core.record import replace as replace
@@ -29,6 +30,7 @@ from .filters.adaptive_size import AdaptiveSize as AdaptiveSize
 from .filters.auxiliary import AuxiliaryParticleFilter as AuxiliaryParticleFilter
 from .filters.cost_reference import CostReferenceParticleFilter as CostReferenceParticleFilter
 from .filters.cubature_kalman import CubatureKalmanFilter as CubatureKalmanFilter
+from .filters.distributed import Distributed as Distributed
 from .filters.ensemble_kalman import EnsembleKalmanFilter as EnsembleKalmanFilter
 from .filters.explain import explain as explain
 from .filters.extended_kalman import ExtendedKalmanFilter as ExtendedKalmanFilter
@@ -86,6 +88,10 @@ from .native.choice import engine as engine
 from .planning.plan import plan as plan
 from .plotting.plot import plot as plot
 from .report.html import report as report
+from .resampling.exchange import Apart as Apart
+from .resampling.exchange import Butterfly as Butterfly
+from .resampling.exchange import Proportional as Proportional
+from .resampling.exchange import Ring as Ring
 from .smoothers.smooth import smooth as smooth
 from .studies.experiment import Experiment as Experiment
 from .studies.run import study as study

@@ -21,6 +21,8 @@ VARIABLE = "MOTES_ENGINE"
 _context = jax.make_user_context(None)
 _faster: dict[str, Callable[..., Any]] = {}
 
+_of_elements = jax.make_user_context(False)
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -54,6 +56,16 @@ def using(name: str) -> AbstractContextManager[None]:
     """
     checks.option("engine", name, ENGINES)
     return _context(name)
+
+
+def of_elements() -> bool:
+    """Tell whether what is traced is worked out for all elements of a cloud at once (see `laws/elements.py`)."""
+    return _of_elements.value
+
+
+def for_elements() -> AbstractContextManager[None]:
+    """Trace what is inside a `with` block for all elements of a cloud at once."""
+    return _of_elements(True)
 
 
 def replaceable(operation: F) -> F:

@@ -6,22 +6,25 @@ from typing import Any
 
 import jax
 
-from motes.core import engine
+from motes.core import devices, engine
 
 Settings = tuple[tuple[str, Any], ...]
 JAX = ("enable_x64", "default_matmul_precision", "numpy_dtype_promotion", "numpy_rank_promotion", "default_prng_impl", "debug_nans",
        "debug_infs", "disable_jit", "default_device")  # fmt: skip
 """Settings of JAX that a `with` block can change for its thread; each is a context manager of the module."""
 
+OURS = {"engine": engine.using, "devices": devices.devices}
+"""Settings of ours."""
+
 
 def in_force() -> Settings:
     """Return the settings of this thread."""
-    return (("engine", engine.chosen()), *((name, getattr(jax.config, f"jax_{name}")) for name in JAX))
+    return (("engine", engine.chosen()), ("devices", devices.chosen()), *((name, getattr(jax.config, f"jax_{name}")) for name in JAX))
 
 
 def for_another_process(settings: Settings) -> Settings:
-    """Return the settings that can travel: all but the device, which is this process's."""
-    return tuple((name, value) for name, value in settings if name != "default_device")
+    """Return the settings that can travel: all but the devices, which are this process's."""
+    return tuple((name, value) for name, value in settings if name not in ("default_device", "devices"))
 
 
 @contextmanager
@@ -32,5 +35,5 @@ def enforced(settings: Settings) -> Iterator[None]:
         for name, value in settings:
             # a setting that is entered anew is another to JAX's caches
             if value != here[name]:
-                stack.enter_context(engine.using(value) if name == "engine" else getattr(jax, name)(value))
+                stack.enter_context(OURS[name](value) if name in OURS else getattr(jax, name)(value))
         yield

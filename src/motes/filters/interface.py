@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, logspace, random
+from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.filters import alarm
 from motes.filters.info import Info
@@ -63,6 +63,8 @@ class Filter(ABC):
     """Whether the law is of few numbers where the model has few states: threads then cost more than they bring."""
     descends: ClassVar[bool] = True
     """Whether each particle came from the one that it names as its ancestor; not so where nodes stay or members are moved by all others."""
+    resamples_first: ClassVar[bool] = False
+    """Whether `predict` (or `ahead`) begins by resampling with `scheme` where `policy` says so, and does nothing else with the weights."""
     gate: ClassVar[Any] = None
     """Probability with which a measurement lies inside the gate where the filter's claims are right; None for no gate. A field of some."""
     guide: ClassVar[Guide]
@@ -164,7 +166,7 @@ class Filter(ABC):
         silent = {name: jnp.where(unused, 0, getattr(info, name)) for name in ("log_evidence", "invalid", "lowest", "highest", "shortfall")}
         silent |= {name: jnp.where(missing, 0, getattr(info, name)) for name in ("nis", "freedom")}
         if before.weighted:
-            silent["ess"] = jax.lax.cond(refused, lambda: logspace.effective_size(before.log_weights), lambda: info.ess)
+            silent["ess"] = jax.lax.cond(refused, before.effective_size, lambda: info.ess)
         return state, replace(info, collapsed=info.collapsed & ~missing, **silent)
 
 

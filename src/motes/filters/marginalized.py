@@ -81,6 +81,11 @@ class MarginalizedParticleFilter(Gated, TwoStageFilter):
         if self.linear is not None:
             object.__setattr__(self, "linear", (self.linear,) if isinstance(self.linear, str) else tuple(self.linear))
 
+    @property
+    def resamples_first(self) -> bool:  # type: ignore[override]
+        """Where nothing is smoothed by what the weights say."""
+        return self.regularization is None
+
     def prepare(self, model: Any, u: Any) -> SplitModel:
         """Split the model into particle and Kalman parts.
 

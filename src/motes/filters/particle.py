@@ -46,7 +46,7 @@ class ParticleFilter(LookAheadFilter, TwoStageFilter):
         policy: when to resample, at the start of a step.
     """
 
-    starves = True
+    starves = resamples_first = True
     guide = Guide(
         needs="dynamics that can be drawn from, a sensor with a density",
         cost="n calls of each function",

@@ -17,17 +17,14 @@ from motes.laws.carried import Carried
 from motes.laws.cloud import Cloud
 
 
-@record
-class Wrapper(Filter):
-    """A filter around another. Subclasses write `begun` and `after`, and perhaps `inputs_with`.
+class Around:
+    """What a filter around another does not say itself is the inner one's; it is put before the class of the filter.
 
     `on_collapse` is that of the inner filter, unless it is given here.
-
-    Attributes:
-        filter: the inner filter.
     """
 
     filter: Filter
+    on_collapse: str
 
     def __post_init__(self) -> None:
         """Check the parameters.
@@ -40,32 +37,6 @@ class Wrapper(Filter):
         if self.on_collapse == "raise":
             object.__setattr__(self, "on_collapse", self.filter.on_collapse)
 
-    @abstractmethod
-    def begun(self, key: jax.Array, model: Any, law: Any) -> Any:
-        """Return what is carried beside the first law."""
-
-    @abstractmethod
-    def after(self, key: jax.Array, before: Carried, law: Any, info: Info, y: Any, u: Any, t: Any) -> tuple[Carried, Info]:
-        """Return what is handed on after the inner filter took in a measurement.
-
-        Args:
-            key: of the step.
-            before: what was handed to the inner filter.
-            law: what it made of it.
-            info: its record of the step.
-            y: the measurement.
-            u: inputs of the step.
-            t: its number.
-        """
-
-    def inputs_with(self, u: Any, beside: Any) -> Any:
-        """Return the inputs that the model's functions see, knowing what is carried: the user's own, unless said otherwise."""
-        return u
-
-    def seen_inputs(self, u: Any) -> Any:
-        """Return the inputs of a step as the model's functions get them, under all wrappers."""
-        return self.filter.seen_inputs(u)
-
     @property
     def inner(self) -> Filter:
         """The inner filter, which answers a collapse as this one is asked to."""
@@ -76,8 +47,8 @@ class Wrapper(Filter):
         """That of the inner filter."""
         return self.filter.gate
 
-    def with_gate(self, gate: float | None) -> "Wrapper":
-        """Return the same wrapper around the inner filter with another gate."""
+    def with_gate(self, gate: float | None) -> Any:
+        """Return the same around the inner filter with another gate."""
         return replace(self, filter=self.filter.with_gate(gate))
 
     @property
@@ -110,6 +81,10 @@ class Wrapper(Filter):
         """What a history says of the inner filter."""
         return self.filter.traits
 
+    def seen_inputs(self, u: Any) -> Any:
+        """Return the inputs of a step as the model's functions get them, under all wrappers."""
+        return self.filter.seen_inputs(u)
+
     def prepare(self, model: Any, u: Any) -> Any:
         """Ask of the model what the inner filter asks."""
         return self.filter.prepare(model, u)
@@ -117,6 +92,39 @@ class Wrapper(Filter):
     def ask(self, model: Any, u: Any) -> None:
         """Refuse what the inner filter refuses."""
         self.filter.ask(model, u)
+
+
+@record
+class Wrapper(Around, Filter):
+    """A filter around another, whose law carries something beside it. Subclasses write `begun` and `after`, and perhaps `inputs_with`.
+
+    Attributes:
+        filter: the inner filter.
+    """
+
+    filter: Filter
+
+    @abstractmethod
+    def begun(self, key: jax.Array, model: Any, law: Any) -> Any:
+        """Return what is carried beside the first law."""
+
+    @abstractmethod
+    def after(self, key: jax.Array, before: Carried, law: Any, info: Info, y: Any, u: Any, t: Any) -> tuple[Carried, Info]:
+        """Return what is handed on after the inner filter took in a measurement.
+
+        Args:
+            key: of the step.
+            before: what was handed to the inner filter.
+            law: what it made of it.
+            info: its record of the step.
+            y: the measurement.
+            u: inputs of the step.
+            t: its number.
+        """
+
+    def inputs_with(self, u: Any, beside: Any) -> Any:
+        """Return the inputs that the model's functions see, knowing what is carried: the user's own, unless said otherwise."""
+        return u
 
     def init(self, key: jax.Array, model: Any) -> Carried:
         """Begin as the inner filter does."""

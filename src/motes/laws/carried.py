@@ -48,6 +48,10 @@ class Carried(Law):
         """Covariance of the law, `(x, x)`."""
         return self.law.cov()
 
+    def effective_size(self) -> jax.Array:
+        """That of the law."""
+        return self.law.effective_size()
+
     def sample(self, key: jax.Array, n: int) -> jax.Array:
         """Draw n points of the law, `(x, n)`."""
         return self.law.sample(key, n)

@@ -6,6 +6,8 @@ deviations sum to zero, and every covariance, kernel and gain made of them is th
 therefore kept so (`Law.gathered`) from step to step, and nothing that averages has to know of angles (Mardia, Jupp 2000, section 2.2).
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +32,13 @@ def near(points: jax.Array, reference: jax.Array, angles: tuple[int, ...]) -> ja
     return jnp.where(_named(points, angles), points - TURN * turns, points)
 
 
-def gathered(points: jax.Array, log_weights: jax.Array, angles: tuple[int, ...]) -> jax.Array:
+def _total(rows: jax.Array) -> jax.Array:
+    return jnp.sum(rows, axis=1)
+
+
+def gathered(
+    points: jax.Array, log_weights: jax.Array, angles: tuple[int, ...], total: Callable[[jax.Array], jax.Array] = _total
+) -> jax.Array:
     """Move the named rows of points by whole turns to within half a turn of their mean direction, on the branch where most weight is.
 
     Points that lie so are left alone to the last bit. Those that are not numbers stay so, and move no others.
@@ -39,6 +47,7 @@ def gathered(points: jax.Array, log_weights: jax.Array, angles: tuple[int, ...])
         points: `(x, n, *m)`.
         log_weights: normalized along the first axis, `(n, *m)`.
         angles: rows that are angles.
+        total: how rows `(z, n, *m)` are summed over all points, as `(z, *m)`.
     """
     if not angles:
         return points
@@ -47,10 +56,10 @@ def gathered(points: jax.Array, log_weights: jax.Array, angles: tuple[int, ...])
     known, weights = jnp.isfinite(values), jnp.exp(log_weights)
     usable = jnp.where(known, values, 0)
     weights = jnp.where(known, weights, 0)
-    direction = jnp.arctan2(jnp.sum(weights * jnp.sin(usable), axis=1), jnp.sum(weights * jnp.cos(usable), axis=1))
+    direction = jnp.arctan2(total(weights * jnp.sin(usable)), total(weights * jnp.cos(usable)))
     turns = _turns(usable - direction[:, None])
-    total = jnp.sum(weights, axis=1)
-    branch = jnp.round(jnp.sum(weights * turns, axis=1) / jnp.where(total > 0, total, 1))
+    mass = total(weights)
+    branch = jnp.round(total(weights * turns) / jnp.where(mass > 0, mass, 1))
     moved = values - TURN * (turns - branch[:, None])
     for k, i in enumerate(rows):
         points = points.at[i].set(moved[k])

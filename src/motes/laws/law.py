@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Self
 import jax
 import jax.numpy as jnp
 
-from motes.core import linalg
+from motes.core import linalg, logspace
 from motes.core.checks import refuse
 from motes.core.record import record, static
 from motes.laws.clusters import Clusters, clusters, one_cluster
@@ -23,6 +23,10 @@ class Law(ABC):
     """Whether the law is made of weighted parts, of normalized `log_weights` `(n,)`."""
     marks_ancestors: ClassVar[bool] = False
     """Whether its `ancestors` `(n,)` say which part each came from."""
+
+    def effective_size(self) -> jax.Array:
+        """Effective number of the parts of a law that is `weighted`."""
+        return logspace.effective_size(self.log_weights)  # type: ignore[attr-defined]
 
     @property
     def marginalizes(self) -> bool:

@@ -76,9 +76,12 @@ class MarginalCloud(Law):
         """Return the cloud with particles and means on one branch of the states, in the user's order, that are angles."""
         if not angles:
             return self
+        return self.with_points(gathered(self._concatenated(), self.log_weights, tuple(self.order[a] for a in angles)))
+
+    def with_points(self, points: jax.Array) -> "MarginalCloud":
+        """Return the cloud with other particles and means, `(p + k, n)`."""
         p = self.particles.shape[0]
-        both = gathered(self._concatenated(), self.log_weights, tuple(self.order[a] for a in angles))
-        return replace(self, particles=both[:p], kalman=Gaussian(both[p:], self.kalman.covariance))
+        return replace(self, particles=points[:p], kalman=Gaussian(points[p:], self.kalman.covariance))
 
     def inflated(self, factor: float) -> "MarginalCloud":
         """Return the cloud with the covariance of both parts times a factor."""

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 from motes.core import engine, logspace, random
 from motes.core.engine import CompileError
 from motes.core.record import replace
-from motes.laws import cloud
+from motes.laws import cloud, elements
 from motes.native import report
-from motes.native.compile import HEADERS, begun, call_kernel, finished
+from motes.native.compile import HEADERS, begun, call_kernel, call_on_particles, finished
 from motes.native.rules import kind_of
+from motes.resampling import allotment
 from motes.resampling.policy import ESS, Always, Entropy, Never, Policy
-from motes.resampling.schemes import Scheme, Systematic
+from motes.resampling.schemes import Given, Scheme, Systematic
 
 FEWEST = 256
 """With fewer particles JAX is as fast."""
@@ -84,7 +85,8 @@ def normal_block(key: jax.Array, rows: int, n: int, dtype: Any) -> jax.Array | N
     """See `random.normal_block`."""
     if not rows or not usable(n, dtype):
         return None
-    return _call("normal_block", dtype, jax.ShapeDtypeStruct((rows, n), dtype), key)
+    shapes = [jax.ShapeDtypeStruct((rows, n), dtype)]
+    return call_on_particles(_without_model(dtype), "motes_normal_block", shapes, [key], ([False], [True]))[0]
 
 
 def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Array, jax.Array] | None:
@@ -95,12 +97,18 @@ def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Arr
         return None
     full = [part for part in parts if part.shape[0]]
     shapes = (jax.ShapeDtypeStruct((size,), dtype), jax.ShapeDtypeStruct((size, size), dtype))
-    native = partial(_call, "moments", dtype, shapes)
-    return differentiable(lambda *given: tuple(native(*given)), engine.original(cloud.weighted_moments))(log_weights, *full)
+
+    def native(*given: jax.Array) -> tuple[jax.Array, jax.Array]:
+        of_particles = ([True] * len(given), [False, False])
+        return tuple(call_on_particles(_without_model(dtype), "motes_moments", shapes, given, of_particles))
+
+    return differentiable(native, engine.original(cloud.weighted_moments))(log_weights, *full)
 
 
 def ancestors(key: jax.Array, scheme: Scheme, policy: Policy, log_weights: jax.Array) -> tuple[jax.Array, jax.Array] | None:
     """Return ancestors `(n,)` and log weights `(n,)`, resampled where the policy asks for it; None for schemes and policies not known."""
+    if isinstance(scheme, Given):
+        return (scheme.indices, scheme.log_weights) if usable(scheme.indices.shape[0], scheme.log_weights.dtype) else None
     codes = {Always: 0, Never: 1, ESS: 2, Entropy: 3}
     n, dtype = log_weights.shape[0], log_weights.dtype
     if type(scheme) is not Systematic or type(policy) not in codes or not usable(n, dtype):
@@ -163,5 +171,37 @@ def innovation(n: int, pure: Callable[..., Any], angles: tuple[int, ...], *given
     return differentiable(native, lambda *given: tuple(pure(*given)))(*given)
 
 
-for implementation in (normal_block, weighted_moments, resampled, joint_weights):
+def masses_of(log_weights: jax.Array) -> jax.Array | None:
+    """See `elements.masses_of`."""
+    (count, n), dtype = log_weights.shape, log_weights.dtype
+    if not usable(n, dtype):
+        return None
+    native = partial(_call, "masses", dtype, jax.ShapeDtypeStruct((count, 4), dtype))
+    return differentiable(native, engine.original(elements.masses_of))(log_weights)
+
+
+def moments_of(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, jax.Array] | None:
+    """See `elements.moments_of`."""
+    if points.shape[0] > MOST_ROWS or not usable(log_weights.shape[1], log_weights.dtype, points.dtype):
+        return None
+    with engine.for_elements():
+        return jax.vmap(cloud.weighted_moments, (0, 1))(log_weights, points)
+
+
+def ends(log_weights: jax.Array, numbers: jax.Array, whole: jax.Array) -> jax.Array | None:
+    """See `allotment.ends`."""
+    if not usable(log_weights.shape[1], log_weights.dtype, numbers.dtype):
+        return None
+    native = partial(_call, "ends", log_weights.dtype, jax.ShapeDtypeStruct(log_weights.shape, jnp.int32))
+    return differentiable(native, engine.original(allotment.ends))(log_weights, numbers, whole)
+
+
+def parents_of(ends: jax.Array, first: jax.Array | int, count: int) -> jax.Array | None:
+    """See `allotment.parents_of`."""
+    if not usable(ends.shape[0], jnp.float32):
+        return None
+    return _call("parents", jnp.float32, jax.ShapeDtypeStruct((count,), jnp.int32), ends, jnp.asarray(first, jnp.int32))
+
+
+for implementation in (normal_block, weighted_moments, resampled, joint_weights, masses_of, moments_of, ends, parents_of):
     engine.offer(implementation.__name__, implementation)

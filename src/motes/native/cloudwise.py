@@ -16,7 +16,7 @@ from motes.native.rules import Untranslatable
 from motes.native.stage import Stage, call_move, call_weigh, judgement, movement
 from motes.native.translate import traced
 from motes.resampling.policy import Never, Policy
-from motes.resampling.schemes import Scheme
+from motes.resampling.schemes import Given, Scheme
 
 
 class Parts:
@@ -60,7 +60,8 @@ class Parts:
 
 def resample_and_move(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, cloud: Any, move: Callable[[Any, Any], Any]) -> Any:
     """Resample where the policy says so and move, fused; None where that cannot be. See `filters.clouds`."""
-    parts = _parts("move", cloud)
+    children = scheme.indices.shape[0] if isinstance(scheme, Given) else cloud.log_weights.shape[0]
+    parts = _parts("move", cloud, children)
     if parts is None:
         return None
     chosen = blocks.ancestors(keys[0], scheme, policy, cloud.log_weights)
@@ -74,7 +75,7 @@ def resample_and_move(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, clo
     stage = _attempt("move", partial(movement, resampled=not isinstance(policy, Never)), function, parts)
     if stage is None:
         return None
-    program = traced(function, parts.lanes, log_weights.shape[0])
+    program = traced(function, parts.lanes, children)
 
     def native(shared: Any, ancestors: jax.Array, lanes: Any, consts: Any) -> list[jax.Array]:
         return call_move(stage, shared, ancestors, lanes)
@@ -89,7 +90,7 @@ def resample_and_move(keys: tuple[Any, Any], scheme: Scheme, policy: Policy, clo
 
 def update_weights(cloud: Any, likelihood_of: Callable[[Any], tuple[Any, jax.Array, jax.Array]]) -> tuple[Any, jax.Array] | None:
     """Correct and weigh, fused; None where that cannot be. See `filters.clouds`."""
-    parts = _parts("weigh", cloud)
+    parts = _parts("weigh", cloud, cloud.log_weights.shape[0])
     if parts is None:
         return None
 
@@ -116,17 +117,17 @@ def update_weights(cloud: Any, likelihood_of: Callable[[Any], tuple[Any, jax.Arr
 
 def left_to_jax(stage: str, cloud: Any, why: str) -> None:
     """Note why a stage of a cloud is left to JAX, between native kernels for random numbers, resampling and weights."""
-    if _parts(stage, cloud) is not None:
+    if _parts(stage, cloud, cloud.log_weights.shape[0]) is not None:
         report.note(stage, report.KERNELS, why)
 
 
-def _parts(stage: str, cloud: Any) -> Parts | None:
-    """Take a cloud apart, where the native engine is to be used on it."""
+def _parts(stage: str, cloud: Any, n: int) -> Parts | None:
+    """Take a cloud apart, where the native engine is to be used on n particles of it."""
     if engine.chosen() == "jax":
         return None
     if cloud.log_weights.dtype not in blocks.PRECISIONS:
         return report.note(stage, report.JAX, f"particles of type {cloud.log_weights.dtype}")
-    if cloud.log_weights.shape[0] < blocks.fewest():
+    if n < blocks.fewest():
         return report.note(stage, report.JAX, f"fewer than {blocks.fewest()} particles")
     if blocks.standing():
         return report.note(stage, report.JAX, blocks.standing())

@@ -10,14 +10,18 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jaxlib import version
 
+from motes.core import engine
 from motes.core.engine import CompileError
 from motes.core.kept import private_folder, processor, prune
 from motes.io.unfinished import unfinished
@@ -162,7 +166,7 @@ def _built(source: str, kept: Path | None) -> ctypes.CDLL:
 _registered: set[str] = set()
 
 
-def call_kernel(source: str, symbol: str, results: Any, *operands: jax.Array) -> Any:
+def call_kernel(source: str, symbol: str, results: Any, *operands: jax.Array, **numbers: Any) -> Any:
     """Call a kernel of a source as part of a program; what is compiled from the source is waited for when the program itself is compiled.
 
     Args:
@@ -170,13 +174,56 @@ def call_kernel(source: str, symbol: str, results: Any, *operands: jax.Array) ->
         symbol: name of the kernel in it.
         results: shapes and types of what it gives, one or several.
         operands: arrays, at least one.
+        numbers: what the kernel is told beside.
 
     Raises:
         CompileError: there is no compiler, or it has failed on this source before.
     """
     mark = begun(source)
     first = before_compiling(operands[0], _register, mark, symbol)
-    return jax.ffi.ffi_call(_name(mark, symbol), results, vmap_method="expand_dims")(first, *operands[1:])
+    return jax.ffi.ffi_call(_name(mark, symbol), results, vmap_method="expand_dims")(first, *operands[1:], **numbers)
+
+
+def call_on_particles(
+    source: str, symbol: str, results: Sequence[Any], operands: Sequence[jax.Array], of_particles: tuple[Sequence[bool], Sequence[bool]]
+) -> Sequence[jax.Array]:
+    """Call a kernel that works on clouds cut into elements as they lie in memory, where it is traced for these (`engine.for_elements`).
+
+    Args:
+        source: C++.
+        symbol: name of the kernel in it.
+        results: shapes and types of what it gives.
+        operands: arrays.
+        of_particles: for each operand, or the first of them, and for each result, whether its last axis is that of the particles.
+
+    Raises:
+        CompileError: see `call_kernel`.
+    """
+    if not engine.of_elements():
+        return call_kernel(source, symbol, results, *operands)
+    lanes = [*of_particles[0], *[False] * (len(operands) - len(of_particles[0]))]
+
+    @jax.custom_batching.custom_vmap
+    def call(*given: jax.Array) -> list[jax.Array]:
+        return list(call_kernel(source, symbol, results, *given))
+
+    @call.def_vmap
+    def cut(count: int, batched: list[bool], *given: jax.Array) -> tuple[list[jax.Array], list[bool]]:
+        # the axis of the elements goes back to where it came from: nothing is copied
+        handed = []
+        for array, own, lane in zip(given, batched, lanes, strict=True):
+            if lane and own:
+                array = jnp.moveaxis(array, 0, -2)
+                array = array.reshape(*array.shape[:-2], -1)
+            handed.append(array if lane or own else array[None])
+        wanted = [jax.ShapeDtypeStruct((*one.shape[:-1], count * one.shape[-1]) if lane else (count, *one.shape), one.dtype)
+                  for one, lane in zip(results, of_particles[1], strict=True)]  # fmt: skip
+        own = sum(1 << i for i, one in enumerate(batched) if one)
+        found = call_kernel(source, symbol, wanted, *handed, batched=np.int64(own), elements=np.int64(count))
+        return [jnp.moveaxis(one.reshape(*one.shape[:-1], count, -1), -2, 0) if lane else one
+                for one, lane in zip(found, of_particles[1], strict=True)], [True] * len(found)  # fmt: skip
+
+    return call(*operands)
 
 
 def _name(mark: str, symbol: str) -> str:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.native import lanes
-from motes.native.compile import begun, call_kernel
+from motes.native.compile import begun, call_on_particles
 from motes.native.parts import WORDS, in_parts
 from motes.native.rules import REALS, Untranslatable, kind_of
 from motes.native.translate import Translator, is_lane, traced
@@ -192,9 +192,11 @@ def _used(declarations: Sequence[str], body: Sequence[str]) -> list[str]:
 
 def call_move(stage: Stage, shared: Shared, ancestors: jax.Array, leaves: Sequence[jax.Array]) -> list[jax.Array]:
     """Return the arrays of the chosen ancestors, moved."""
-    made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
+    many = ancestors.shape[0]
+    made = [jax.ShapeDtypeStruct((*leaf.shape[:-1], many), leaf.dtype)
+            for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]  # fmt: skip
     words, tables = shared
-    results = list(_call(stage, made, words, ancestors, *leaves, *tables))
+    results = list(_call(stage, made, tables, words, ancestors, *leaves))
     return [results.pop(0) if changed else leaf[..., ancestors] for leaf, changed in zip(leaves, stage.changed, strict=True)]
 
 
@@ -205,10 +207,12 @@ def call_weigh(
     made = [leaf for leaf, changed in zip(leaves, stage.changed, strict=True) if changed]
     six = jax.ShapeDtypeStruct((6,), log_weights.dtype)
     words, tables = shared
-    weights, found, *results = _call(stage, [log_weights, six, *made], words, log_weights, *leaves, *tables)
+    weights, found, *results = _call(stage, [log_weights, six, *made], tables, words, log_weights, *leaves)
     return weights, found, [results.pop(0) if changed else leaf for leaf, changed in zip(leaves, stage.changed, strict=True)]
 
 
-def _call(stage: Stage, results: Sequence[Any], *operands: jax.Array) -> Sequence[jax.Array]:
+def _call(stage: Stage, results: Sequence[Any], tables: Sequence[jax.Array], *operands: jax.Array) -> Sequence[jax.Array]:
     shapes = [jax.ShapeDtypeStruct(result.shape, result.dtype) for result in results]
-    return call_kernel(stage.source, stage.kind, shapes, *operands)
+    # all but the words, and the judgement
+    of_particles = ([False, *[True] * (len(operands) - 1)], [shape.shape != (6,) for shape in shapes])
+    return call_on_particles(stage.source, stage.kind, shapes, [*operands, *tables], of_particles)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, engine, logspace
 from motes.core.record import record
+from motes.laws.elements import Sums
 from motes.resampling import gradients
 from motes.resampling.schemes import Scheme, W
 
@@ -18,6 +19,10 @@ class Policy(ABC):
     def needed(self, log_weights: jax.Array) -> jax.Array | bool:
         """Tell whether to resample, from normalized log weights `(n,)`."""
 
+    def needed_by(self, sums: Sums, n: int) -> jax.Array | bool | None:
+        """Tell the same from sums over n particles; None of a policy that asks for more."""
+        return None
+
 
 @record
 class Always(Policy):
@@ -27,12 +32,20 @@ class Always(Policy):
         """Yes."""
         return True
 
+    def needed_by(self, sums: Sums, n: int) -> bool:
+        """Yes."""
+        return True
+
 
 @record
 class Never(Policy):
     """Never resample (sequential importance sampling); weights degenerate in time."""
 
     def needed(self, log_weights: jax.Array) -> bool:
+        """No."""
+        return False
+
+    def needed_by(self, sums: Sums, n: int) -> bool:
         """No."""
         return False
 
@@ -55,6 +68,10 @@ class ESS(Policy):
         """Compare the effective sample size with the share."""
         return logspace.effective_size(log_weights) < self.share * log_weights.shape[0]
 
+    def needed_by(self, sums: Sums, n: int) -> jax.Array:
+        """Compare the effective sample size with the share."""
+        return sums.weights**2 < self.share * n * sums.squares
+
 
 @record
 class Entropy(Policy):
@@ -73,6 +90,10 @@ class Entropy(Policy):
     def needed(self, log_weights: jax.Array) -> jax.Array:
         """Compare the entropy deficit with the threshold."""
         return logspace.entropy_deficit(log_weights) > self.threshold
+
+    def needed_by(self, sums: Sums, n: int) -> jax.Array:
+        """Compare the entropy deficit with the threshold."""
+        return jnp.log(jnp.asarray(n, sums.terms.dtype)) + sums.terms / sums.weights - jnp.log(sums.weights) > self.threshold
 
 
 def resample(key: jax.Array, scheme: Scheme, policy: Policy, cloud: W, log_score: jax.Array | None = None) -> W:

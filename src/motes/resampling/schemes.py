@@ -113,8 +113,8 @@ class Boundaries(NamedTuple):
     """Index of the last particle with any weight."""
 
 
-def boundaries(log_weights: jax.Array, n: int) -> Boundaries:
-    """Sum n w without losing what float32 loses."""
+def boundaries(log_weights: jax.Array, n: int | jax.Array) -> Boundaries:
+    """Sum n w without losing what float32 loses; n is the number of children, or a share of it that is no whole number."""
     weights = jnp.exp(log_weights)
     expected = weights * (n / jnp.sum(weights))
     floors = jnp.floor(expected)
@@ -132,7 +132,7 @@ def boundaries(log_weights: jax.Array, n: int) -> Boundaries:
     part = part.reshape(-1)[:count]
     # rounding of n w leaves the sum a little off n: spread in proportion, or the last particle would get it all
     missing = (n - whole[-1]) - part[-1]
-    part = part + missing * ((whole + part) / (whole[-1] + part[-1]))
+    part = part + missing * ((whole + part) / jnp.maximum(whole[-1] + part[-1], jnp.finfo(part.dtype).tiny))
     return Boundaries(whole, part, last_positive(weights))
 
 
@@ -140,6 +140,27 @@ def ancestors_from_ends(ends: jax.Array, n: int, last: jax.Array) -> jax.Array:
     """Turn cumulative numbers of children (one per particle) into ancestors `(n,)`: each end raises the index by one."""
     raised = jnp.zeros((n,), jnp.int32).at[ends].add(1, mode="drop")
     return jnp.minimum(jnp.cumsum(raised), last).astype(jnp.int32)
+
+
+@record
+class Given(Scheme):
+    """Ancestors that were drawn elsewhere, and the weights of their children: a stage resamples by them whatever its own weights are.
+
+    Attributes:
+        indices: `(n,)` int32, into any number of particles.
+        log_weights: normalized, of the children, `(n,)`.
+    """
+
+    indices: jax.Array
+    log_weights: jax.Array
+
+    def resampled(self, key: jax.Array, cloud: W, first: jax.Array | None) -> W:
+        """Give the children."""
+        return replace(cloud.resampled(self.indices), log_weights=self.log_weights)  # type: ignore[return-value]
+
+    def ancestors(self, key: jax.Array, log_weights: jax.Array, n: int) -> jax.Array:
+        """Give the ancestors."""
+        return self.indices
 
 
 @record

@@ -6,16 +6,17 @@ using namespace motes;
 // args: key `(2)`; rets: normal numbers `(rows, n)`
 static void normal_block(const Frame& frame, const Team& team) {
   Operand out = frame.ret(0);
-  Batch batch(out, 2);
-  int64_t n = out.dims[out.rank - 1], rows = out.dims[out.rank - 2];
+  Batch batch(out, 2, frame.elements());
+  int64_t n = batch.length(out), rows = out.dims[out.rank - 2];
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
     const uint32_t* key = batch.of<const uint32_t>(frame.arg(0), run);
-    Real* data = batch.of<Real>(out, run);
+    int64_t apart;
+    Real* data = batch.rows<Real>(out, run, apart);
     own.each(blocks_of(n), [=](int64_t b) {
       Scratch memory(sizeof(Real) * BLOCK * rows);
       auto* noise = memory.as<Real[BLOCK]>();
       normals({key[0], key[1]}, (uint32_t)(b * BLOCK), (int)rows, noise);
-      for (int64_t r = 0; r < rows; r++) __builtin_memcpy(data + r * n + b * BLOCK, noise[r], sizeof(Real) * length_of(b, n));
+      for (int64_t r = 0; r < rows; r++) __builtin_memcpy(data + r * apart + b * BLOCK, noise[r], sizeof(Real) * length_of(b, n));
     });
   });
 }
@@ -43,6 +44,136 @@ static void weigh(const Frame& frame, const Team& team) {
   });
 }
 MOTES_KERNEL(motes_weigh, weigh)
+
+// args: log weights `(n)`; rets: log of the sum of weights, their sum, that of their squares, that of w log w `(4)`
+static void masses(const Frame& frame, const Team& team) {
+  Operand given = frame.arg(0);
+  Batch batch(frame.ret(0), 1);
+  int64_t n = given.dims[given.rank - 1], blocks = blocks_of(n);
+  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+    const Real* log_weights = batch.of<const Real>(given, run);
+    Real* out = batch.of<Real>(frame.ret(0), run);
+    Scratch memory(sizeof(double) * 3 * blocks);
+    double* found = memory.as<double>();
+    own.each(blocks, [=](int64_t b) {
+      const Real* __restrict from = log_weights + b * BLOCK;
+      int m = length_of(b, n);
+      Real sum = 0, square = 0, term = 0;
+#pragma omp simd reduction(+ : sum, square, term)
+      for (int i = 0; i < m; i++) {
+        Real w = exp(from[i]);
+        sum += w, square += w * w, term += w > 0 ? w * from[i] : 0;
+      }
+      found[3 * b] = sum, found[3 * b + 1] = square, found[3 * b + 2] = term;
+    });
+    double all[3] = {0, 0, 0};
+    for (int64_t b = 0; b < blocks; b++)
+      for (int k = 0; k < 3; k++) all[k] += found[3 * b + k];
+    double log_sum = __builtin_log(all[0]);
+    if (!(all[0] > 1e-20 && all[0] < INF)) {  // too far from one to be told without an anchor
+      Real top = -INF;
+      for (int64_t i = 0; i < n; i++) top = log_weights[i] > top ? log_weights[i] : top;
+      double sum = 0;
+      for (int64_t i = 0; top > -INF && i < n; i++) sum += exp(log_weights[i] - top);
+      log_sum = top + __builtin_log(sum);
+    }
+    out[0] = (Real)log_sum, out[1] = (Real)all[0], out[2] = (Real)all[1], out[3] = (Real)all[2];
+  });
+}
+MOTES_KERNEL(motes_masses, masses)
+
+// args: log weights `(n)`, (log of their sum, number of children, what is added to running sums), (whole part of that, first end, last end);
+// rets: where the children of each particle end `(n)`
+static void ends(const Frame& frame, const Team& team) {
+  Operand out = frame.ret(0);
+  Batch batch(out, 1);
+  int64_t n = out.dims[out.rank - 1], blocks = blocks_of(n);
+  for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
+    const Real* log_weights = batch.of<const Real>(frame.arg(0), run);
+    const Real* numbers = batch.of<const Real>(frame.arg(1), run);
+    const int32_t* whole = batch.of<const int32_t>(frame.arg(2), run);
+    int32_t* to = batch.of<int32_t>(out, run);
+    Real log_mass = numbers[0];
+    double part = numbers[2];
+    int32_t base = whole[0], start = whole[1], last = whole[2];
+    Scratch memory(sizeof(Real) * blocks * BLOCK + sizeof(double) * (blocks + 1));
+    Real* weights = memory.as<Real>();
+    double* sums = (double*)(weights + blocks * BLOCK);
+    own.each(blocks, [=](int64_t b) {
+      const Real* __restrict from = log_weights + b * BLOCK;
+      Real* __restrict w = weights + b * BLOCK;
+      int m = length_of(b, n);
+      double sum = 0;
+#pragma omp simd reduction(+ : sum)
+      for (int i = 0; i < m; i++) {
+        w[i] = log_mass > -INF ? exp(from[i] - log_mass) : 0;
+        sum += w[i];
+      }
+      sums[b + 1] = sum;
+    });
+    sums[0] = 0;
+    for (int64_t b = 0; b < blocks; b++) sums[b + 1] += sums[b];
+    double scale = sums[blocks] > 0 ? numbers[1] / sums[blocks] : 0;
+    own.each(blocks, [=](int64_t b) {
+      auto edge = [=](int64_t at) {
+        double end = at == 0 ? start : (at == blocks ? last : base + __builtin_ceil(sums[at] * scale + part));
+        return (int32_t)(end < start ? start : (end > last ? last : end));
+      };
+      const Real* __restrict w = weights + b * BLOCK;
+      int32_t* __restrict found = to + b * BLOCK;
+      int m = length_of(b, n);
+      int32_t low = edge(b), high = edge(b + 1);
+      double sum = sums[b] * scale + part;
+#pragma omp simd reduction(inscan, + : sum)
+      for (int i = 0; i < m; i++) {
+        sum += scale * (double)w[i];
+#pragma omp scan inclusive(sum)
+        double end = base + __builtin_ceil(sum);
+        found[i] = (int32_t)(end < low ? low : (end > high ? high : end));
+      }
+      // rounding must not give the last child to a particle without weight
+      int end = m;
+      found[--end] = high;
+      while (end > 0 && w[end] == 0) found[--end] = high;
+    });
+  });
+}
+MOTES_KERNEL(motes_ends, ends)
+
+// args: where the children of each particle end `(s)`, the first slot; rets: whose child is in each slot `(n)`
+static void parents(const Frame& frame, const Team& team) {
+  Operand out = frame.ret(0), given = frame.arg(0);
+  Batch batch(out, 1);
+  int64_t n = out.dims[out.rank - 1], s = given.dims[given.rank - 1], blocks = blocks_of(s);
+  for_each_run(team, batch, s, [=](int64_t run, const Team& own) {
+    const int32_t* ends = batch.of<const int32_t>(given, run);
+    int64_t first = *batch.of<const int32_t>(frame.arg(1), run);
+    int32_t* slots = batch.of<int32_t>(out, run);
+    own.each(blocks, [=](int64_t b) {
+      auto place = [=](int64_t i) {  // where the children of particle i end, in slots here
+        if (i < 0) return (int64_t)0;
+        int64_t end = ends[i] - first;
+        return end < 0 ? (int64_t)0 : (end > n ? n : end);
+      };
+      int64_t begin = b * BLOCK, m = length_of(b, s), low = place(begin - 1), high = b + 1 == blocks ? n : place(begin + m - 1);
+      if (high <= low) return;
+      __builtin_memset(slots + low, 0, sizeof(int32_t) * (high - low));
+      for (int64_t i = begin, from = low; i < begin + m; i++) {
+        int64_t end = place(i);
+        if (end > from) slots[from] = (int32_t)i;
+        from = end;
+      }
+      int32_t latest = 0;
+#pragma omp simd reduction(inscan, max : latest)
+      for (int64_t c = low; c < high; c++) {
+        latest = slots[c] > latest ? slots[c] : latest;
+#pragma omp scan inclusive(latest)
+        slots[c] = latest;
+      }
+    });
+  });
+}
+MOTES_KERNEL(motes_parents, parents)
 
 constexpr int MOST_ROWS = 32;
 
@@ -83,21 +214,22 @@ static void block_moments(const Real* const* rows, int x, const Real* __restrict
 // args: log weights `(n)`, points `(x, n)`, more points; rets: mean `(x)`, covariance `(x, x)`
 static void moments(const Frame& frame, const Team& team) {
   Operand out = frame.ret(0);
-  Batch batch(out, 1);
+  Batch batch(out, 1, frame.elements(), false);
   Operand given = frame.arg(0);
-  int64_t n = given.dims[given.rank - 1], x = out.dims[out.rank - 1], blocks = blocks_of(n), size = 1 + x + x * (x + 1) / 2;
+  int64_t n = batch.length(given), x = out.dims[out.rank - 1], blocks = blocks_of(n), size = 1 + x + x * (x + 1) / 2;
   int64_t parts = frame.call->args.size - 1;
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
-    const Real* log_weights = batch.of<const Real>(given, run);
+    const Real* log_weights = batch.row<const Real>(given, run);
     Scratch memory(sizeof(double) * size * blocks);
     double* found = memory.as<double>();
     own.each(blocks, [=](int64_t b) {
       const Real* rows[MOST_ROWS];
       int at = 0;
       for (int64_t part = 1; part <= parts; part++) {
-        Operand points = frame.arg((int)part);
-        const Real* data = batch.of<const Real>(points, run);
-        for (int64_t r = 0; r < points.dims[points.rank - 2]; r++) rows[at++] = data + r * n + b * BLOCK;
+        Operand one = frame.arg((int)part);
+        int64_t apart;
+        const Real* data = batch.rows<const Real>(one, run, apart);
+        for (int64_t r = 0; r < one.dims[one.rank - 2]; r++) rows[at++] = data + r * apart + b * BLOCK;
       }
       block_moments(rows, (int)x, log_weights + b * BLOCK, length_of(b, n), found + b * size);
     });

@@ -10,40 +10,69 @@
 namespace motes {
 
 // One operand or result: `small` trailing axes for one run, any axes before them are a batch of runs (size one where all runs share it).
+// Where a cloud is cut into elements, the last axis of the batch is that of the elements. Arrays of particles have it not before their
+// rows, but within their last axis, side by side as they lie in memory; `shared` ones are whole for each element.
 struct Operand {
   char* data;
   int64_t rank;
   const int64_t* dims;
+  bool shared;
 };
 
 struct Frame {
   XLA_FFI_CallFrame* call;
-  Operand arg(int i) const { return operand(call->args.args[i]); }
-  Operand ret(int i) const { return operand(call->rets.rets[i]); }
-  static Operand operand(void* raw) {
+  Operand arg(int i) const { return operand(call->args.args[i], elements() && !(number(0) >> i & 1)); }
+  Operand ret(int i) const { return operand(call->rets.rets[i], false); }
+  // number of elements that the particles are cut into; none where they are not
+  int64_t elements() const { return call->attrs.size == 2 ? number(1) : 0; }
+
+ private:
+  // in alphabetical order: which arguments each element has of its own, as bits, and the number of elements
+  int64_t number(int i) const { return *(int64_t*)((XLA_FFI_Scalar*)call->attrs.attrs[i])->value; }
+  static Operand operand(void* raw, bool shared) {
     auto* buffer = (XLA_FFI_Buffer*)raw;
-    return {(char*)buffer->data, buffer->rank, buffer->dims};
+    return {(char*)buffer->data, buffer->rank, buffer->dims, shared};
   }
 };
 
-// The runs of a batch; `like` is a result, which has all axes of the batch.
+// The runs of a batch; `like` is a result, which has all axes of the batch, and is an array of particles or not.
 struct Batch {
-  int64_t axes, count = 1;
-  const int64_t* dims;
-  Batch(const Operand& like, int64_t small) : axes(like.rank - small), dims(like.dims) {
-    for (int64_t a = 0; a < axes; a++) count *= dims[a];
+  static constexpr int MOST = 16;
+  int64_t axes, count = 1, elements, sizes[MOST];
+  Batch(const Operand& like, int64_t small, int64_t elements = 0, bool of_particles = true)
+      : axes(like.rank - small + (elements && of_particles)), elements(elements) {
+    if (axes > MOST) abort();
+    for (int64_t a = 0; a < axes; a++) sizes[a] = elements && a == axes - 1 ? elements : like.dims[a], count *= sizes[a];
   }
   template <class T>
   T* of(const Operand& operand, int64_t run) const { return (T*)at(operand, run, sizeof(T)); }
   // elements of so many bytes
-  void* at(const Operand& operand, int64_t run, int64_t bytes) const {
-    int64_t size = bytes, offset = 0;
-    for (int64_t a = axes; a < operand.rank; a++) size *= operand.dims[a];
-    for (int64_t a = axes; a-- > 0;) {
-      if (operand.dims[a] != 1) offset += run % dims[a] * size, size *= operand.dims[a];
-      run /= dims[a];
+  void* at(const Operand& operand, int64_t run, int64_t bytes) const { return operand.data + offset(operand, run, bytes, axes); }
+  // the first row of an array of particles, and how far apart rows are
+  template <class T>
+  T* rows(const Operand& operand, int64_t run, int64_t& apart) const {
+    apart = operand.dims[operand.rank - 1];
+    if (!elements) return of<T>(operand, run);
+    T* data = (T*)(operand.data + offset(operand, run / elements, sizeof(T), axes - 1));
+    return operand.shared ? data : data + run % elements * (apart / elements);
+  }
+  template <class T>
+  T* row(const Operand& operand, int64_t run) const {
+    int64_t apart;
+    return rows<T>(operand, run, apart);
+  }
+  // number of particles of a run
+  int64_t length(const Operand& operand) const { return operand.dims[operand.rank - 1] / (elements && !operand.shared ? elements : 1); }
+
+ private:
+  int64_t offset(const Operand& operand, int64_t run, int64_t bytes, int64_t first) const {
+    int64_t size = bytes, found = 0;
+    for (int64_t a = first; a < operand.rank; a++) size *= operand.dims[a];
+    for (int64_t a = first; a-- > 0;) {
+      if (operand.dims[a] != 1) found += run % sizes[a] * size, size *= operand.dims[a];
+      run /= sizes[a];
     }
-    return operand.data + offset;
+    return found;
   }
 };
 

@@ -25,19 +25,21 @@ struct Rows {
 };
 
 template <class Model>
-static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, int64_t n, int first_out) {
+static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, int first_out) {
   Rows<Model> rows;
   int at = 0;
   for (int leaf = 0; leaf < Model::LEAVES; leaf++) {
-    const Real* data = batch.of<const Real>(frame.arg(2 + leaf), run);
-    for (int r = 0; r < Model::ROWS[leaf]; r++) rows.in[at++] = data + r * n;
+    int64_t apart;  // of any number of particles, where their children are moved
+    const Real* data = batch.rows<const Real>(frame.arg(2 + leaf), run, apart);
+    for (int r = 0; r < Model::ROWS[leaf]; r++) rows.in[at++] = data + r * apart;
   }
   for (int table = 0; table < Model::TABLES; table++)
     rows.tables[table] = batch.at(frame.arg(2 + Model::LEAVES + table), run, Model::TABLE_BYTES[table]);
   at = 0;
   for (int leaf = 0; leaf < Model::OUTS; leaf++) {
-    Real* data = batch.of<Real>(frame.ret(first_out + leaf), run);
-    for (int r = 0; r < Model::OUT_ROWS[leaf]; r++) rows.out[at++] = data + r * n;
+    int64_t apart;
+    Real* data = batch.rows<Real>(frame.ret(first_out + leaf), run, apart);
+    for (int r = 0; r < Model::OUT_ROWS[leaf]; r++) rows.out[at++] = data + r * apart;
   }
   return rows;
 }
@@ -46,12 +48,12 @@ static Rows<Model> rows_of(const Frame& frame, const Batch& batch, int64_t run, 
 template <class Model>
 static void move(const Frame& frame, const Team& team) {
   Operand like = frame.ret(0);
-  Batch batch(like, Model::OUT_RANKS[0]);
-  int64_t n = like.dims[like.rank - 1];
+  Batch batch(like, Model::OUT_RANKS[0], frame.elements());
+  int64_t n = batch.length(like);
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
     const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
-    const int32_t* ancestors = batch.of<const int32_t>(frame.arg(1), run);
-    Rows<Model> rows = rows_of<Model>(frame, batch, run, n, 0);
+    const int32_t* ancestors = batch.row<const int32_t>(frame.arg(1), run);
+    Rows<Model> rows = rows_of<Model>(frame, batch, run, 0);
     own.each(blocks_of(n), [=](int64_t b) {
       alignas(64) Real noise[Model::NOISE + 1][BLOCK];
       Model::draw(parameters, (uint32_t)(b * BLOCK), noise);
@@ -65,7 +67,7 @@ template <class Model>
 static void weigh(const Frame& frame, const Team& team) {
   weigh_runs(frame, team, [=](const Batch& batch, int64_t run, int64_t n) {
     const uint32_t* parameters = batch.of<const uint32_t>(frame.arg(0), run);
-    Rows<Model> rows = rows_of<Model>(frame, batch, run, n, 2);
+    Rows<Model> rows = rows_of<Model>(frame, batch, run, 2);
     return [=](int64_t b, Real* likelihood, Real* maximum) {
       alignas(64) Real noise[Model::NOISE + 1][BLOCK];
       Model::draw(parameters, (uint32_t)(b * BLOCK), noise);

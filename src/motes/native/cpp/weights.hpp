@@ -188,11 +188,11 @@ struct Seen { const Real *likelihood, *maximum; };
 template <class Prepare>
 static void weigh_runs(const Frame& frame, const Team& team, Prepare prepare) {
   Operand out = frame.ret(0);
-  Batch batch(out, 1);
-  int64_t n = out.dims[out.rank - 1], blocks = blocks_of(n);
+  Batch batch(out, 1, frame.elements());
+  int64_t n = batch.length(out), blocks = blocks_of(n);
   for_each_run(team, batch, n, [=](int64_t run, const Team& own) {
-    const Real* before = batch.of<const Real>(frame.arg(1), run);
-    Real* joint = batch.of<Real>(out, run);
+    const Real* before = batch.row<const Real>(frame.arg(1), run);
+    Real* joint = batch.row<Real>(out, run);
     auto see = prepare(batch, run, n);
     Scratch memory(sizeof(Tally) * blocks);
     Tally* tallies = memory.as<Tally>();

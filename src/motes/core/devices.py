@@ -1,0 +1,155 @@
+"""On how many devices the elements of a filter are shared out, and what a device can ask of the others.
+
+Elements belong to a filter (see `filters/distributed.py`); which device has which is decided here alone, so that no result can depend on it:
+each device has as many consecutive elements as any other, and between them go numbers of each element, in the order of elements, and
+particles, which are the same wherever they are.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+from motes.core import checks
+
+AXIS = "devices"
+
+# part of the key of everything that JAX compiles, as the engine is
+_context = jax.make_user_context(None)
+
+
+def chosen() -> int:
+    """Return the number of devices in force: that of the nearest `devices`, else one."""
+    return _context.value or 1
+
+
+def devices(count: int) -> AbstractContextManager[None]:
+    """Share out the elements of a `Distributed` filter over local devices: `with mo.devices(8): mo.run(...)`.
+
+    Results are the same, to the bit, on any number of them. On a CPU, JAX has one device unless it is told otherwise before it starts:
+    `XLA_FLAGS=--xla_force_host_platform_device_count=8`. Filters that are not `Distributed` take no notice.
+
+    Args:
+        count: number of devices, one that divides the number of elements of the filter.
+
+    Raises:
+        MotesError: count is no positive whole number, or there are fewer devices.
+    """
+    checks.positive_integer("devices count", count)
+    there = jax.local_device_count()
+    if count > there:
+        hint = "On a CPU: XLA_FLAGS=--xla_force_host_platform_device_count=8." if jax.default_backend() == "cpu" else ""
+        checks.refuse("devices count", f"at most {there}, as many as JAX has here", count, hint)
+    return _context(count)
+
+
+class Crew(NamedTuple):
+    """The elements that a device has, seen from it, and what it can ask of the others.
+
+    Attributes:
+        elements: number of elements, K.
+        devices: number of devices.
+    """
+
+    elements: int
+    devices: int
+
+    @property
+    def here(self) -> int:
+        """Number of elements on each device."""
+        return self.elements // self.devices
+
+    @property
+    def place(self) -> Any:
+        """Number of this device."""
+        return 0 if self.devices == 1 else jax.lax.axis_index(AXIS)
+
+    @property
+    def first(self) -> Any:
+        """Number of the first element here."""
+        return self.place * self.here
+
+    def own(self, numbers: jax.Array) -> jax.Array:
+        """Return of numbers of all elements `(K, ...)` those of the elements here."""
+        return numbers if self.devices == 1 else jax.lax.dynamic_slice_in_dim(numbers, self.first, self.here)
+
+    def gathered(self, tree: Any) -> Any:
+        """Return numbers of all elements, `(K, ...)`, from those of the elements here; a barrier keeps both sides apart."""
+        tree = jax.lax.optimization_barrier(tree)
+        if self.devices > 1:
+            leaves, form = jax.tree.flatten(tree)
+            # one message: what takes time between devices is that there is one
+            dtype = jnp.result_type(*leaves)
+            rows = jnp.concatenate([leaf.astype(dtype).reshape(self.here, -1) for leaf in leaves], axis=1)
+            rows = jax.lax.all_gather(rows, AXIS, tiled=True)
+            sizes = np.cumsum([leaf[0].size for leaf in leaves])[:-1]
+            parts = jnp.split(rows, sizes, axis=1)
+            whole = [part.reshape(self.elements, *leaf.shape[1:]).astype(leaf.dtype) for part, leaf in zip(parts, leaves, strict=True)]
+            tree = jax.tree.unflatten(form, whole)
+        return jax.lax.optimization_barrier(tree)
+
+    def from_device(self, tree: Any, offset: int) -> Any:
+        """Return what the device so many places before this one, in a ring, has."""
+        if self.devices == 1:
+            return tree
+        pairs = [(i, (i + offset) % self.devices) for i in range(self.devices)]
+        return jax.tree.map(lambda leaf: jax.lax.ppermute(leaf, AXIS, pairs), tree)
+
+    def from_partner(self, tree: Any, distance: int) -> Any:
+        """Return what the device has whose number differs in the bit `distance`, a power of two."""
+        return jax.tree.map(lambda leaf: jax.lax.ppermute(leaf, AXIS, [(i, i ^ distance) for i in range(self.devices)]), tree)
+
+
+def shared_out(
+    work: Callable[[Crew, Sequence[Any], Any], tuple[Any, Any]], elements: int, cut: Sequence[jax.Array], whole: Any, ranks: Sequence[int]
+) -> tuple[Any, Any]:
+    """Have each device do its part of a work on all elements.
+
+    Args:
+        work: from the crew, the device's part of what is cut, and what is whole, to a list of arrays that are cut, and a tree of
+            what is the same on all devices.
+        elements: number of elements.
+        cut: arrays whose last axis is shared out.
+        whole: tree of arrays that each device sees whole.
+        ranks: number of axes of each array that comes out cut.
+
+    Raises:
+        MotesError: the number of devices does not divide that of elements.
+    """
+    count = chosen()
+    if elements % count:
+        checks.refuse("devices count", f"a divisor of the filter's {elements} elements", count)
+    if count == 1:
+        return work(Crew(elements, 1), cut, whole)
+
+    def last(rank: int) -> PartitionSpec:
+        return PartitionSpec(*[None] * (rank - 1), AXIS)
+
+    given = ([last(array.ndim) for array in cut], jax.tree.map(lambda leaf: PartitionSpec(), whole))
+    shared = jax.shard_map(partial(work, Crew(elements, count)), mesh=_mesh(count), in_specs=given,
+                           out_specs=([last(rank) for rank in ranks], PartitionSpec()), check_vma=False)  # fmt: skip
+    return shared(list(cut), whole)
+
+
+def _mesh(count: int) -> Mesh:
+    return Mesh(np.array(jax.local_devices()[:count]), (AXIS,))
+
+
+def brought_here(tree: Any) -> Any:
+    """Return arrays that other devices than those in force hold as arrays of these; a run goes on where another left off."""
+    wanted = set(jax.local_devices()[: chosen()])
+
+    def brought(leaf: Any) -> Any:
+        there = leaf.sharding.device_set if isinstance(leaf, jax.Array) and checks.is_concrete(leaf) else set()
+        if len(there) < 2 or there == wanted:
+            return leaf
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.extended):
+            return jax.random.wrap_key_data(np.asarray(jax.random.key_data(leaf)), impl="threefry2x32")
+        return jnp.asarray(np.asarray(leaf))
+
+    return jax.tree.map(brought, tree)
