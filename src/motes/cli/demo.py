@@ -31,6 +31,8 @@ def main(words: Sequence[str]) -> None:
     name = demonstrations().get(name, name)
     if name not in applications():
         refuse("demo", "one of " + ", ".join([*applications(), *demonstrations()]), repr(name))
+    from motes.core.hosts import is_first
+
     wish = asked(Run, [name, *rest], f"motes demo {name}")
     if processes.started("demo", [name, *rest], wish.settings):
         return

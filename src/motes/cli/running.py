@@ -28,6 +28,7 @@ from motes.filters.interface import Filter
 from motes.filters.keep import Keep
 from motes.filters.notices import notices
 from motes.filters.run import run
+from motes.filters.wrapper import Around
 from motes.io.archive import provenance, whole_file
 from motes.io.files import label
 from motes.io.result_table import Table
@@ -126,6 +127,8 @@ def steps(history: History) -> int:
 
 def size(filter: Filter) -> str:
     """Return the number of particles of a filter as a table shows it; a dash where it has none."""
+    while isinstance(filter, Around):
+        filter = filter.filter
     return str(vars(filter).get("n", "-"))
 
 

@@ -29,19 +29,21 @@ def chosen() -> int:
 
 
 def devices(count: int) -> AbstractContextManager[None]:
-    """Share out the elements of a `Distributed` filter over local devices: `with mo.devices(8): mo.run(...)`.
+    """Share out the elements of a `Distributed` filter over devices: `with mo.devices(8): mo.run(...)`.
 
     Results are the same, to the bit, on any number of them. On a CPU, JAX has one device unless it is told otherwise before it starts:
     `XLA_FLAGS=--xla_force_host_platform_device_count=8`. Filters that are not `Distributed` take no notice.
 
     Args:
-        count: number of devices, one that divides the number of elements of the filter.
+        count: number of devices, one that divides the number of elements of the filter; all of them where processes work as one (`join`).
 
     Raises:
-        MotesError: count is no positive whole number, or there are fewer devices.
+        MotesError: count is no positive whole number, or there are fewer devices, or other processes would be left without work.
     """
     checks.positive_integer("devices count", count)
-    there = jax.local_device_count()
+    there = jax.device_count()
+    if jax.process_count() > 1 and count != there:
+        checks.refuse("devices count", f"{there}, all that {jax.process_count()} processes have", count)
     if count > there:
         hint = "On a CPU: XLA_FLAGS=--xla_force_host_platform_device_count=8." if jax.default_backend() == "cpu" else ""
         checks.refuse("devices count", f"at most {there}, as many as JAX has here", count, hint)
@@ -137,12 +139,12 @@ def shared_out(
 
 
 def _mesh(count: int) -> Mesh:
-    return Mesh(np.array(jax.local_devices()[:count]), (AXIS,))
+    return Mesh(np.array(jax.devices()[:count]), (AXIS,))
 
 
 def brought_here(tree: Any) -> Any:
     """Return arrays that other devices than those in force hold as arrays of these; a run goes on where another left off."""
-    wanted = set(jax.local_devices()[: chosen()])
+    wanted = set(jax.devices()[: chosen()])
 
     def brought(leaf: Any) -> Any:
         there = leaf.sharding.device_set if isinstance(leaf, jax.Array) and checks.is_concrete(leaf) else set()
