@@ -77,7 +77,7 @@ def told(err):
 
 def same(one, two):
     """Whether all that was kept of a run, its last law included, is equal to the bit."""
-    one, two = (jax.tree.leaves(mo.filters.History.load(Path(out) / "particle.npz")._data()) for out in (one, two))
+    one, two = (jax.tree.leaves(mo.History.load(Path(out) / "particle.npz")._data()) for out in (one, two))
     return all(np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True) for a, b in zip(one, two, strict=True))
 
 
