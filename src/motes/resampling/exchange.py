@@ -25,13 +25,13 @@ class Handed(NamedTuple):
     Attributes:
         law: particles to begin with: cut `(..., e, m)`, or not `(..., s)` where `given` picks from them.
         given: children of each element, arrays `(e, m)`; None where the filter resamples itself.
-        log_mass: log masses of the elements after that, `(e,)`.
+        log_mass: log masses of the elements after that, `(e,)`, where the weights are normalized within each; None where over all.
         origin: the index of each particle among all those of the step before, `(e, m)`.
     """
 
     law: Any
     given: Given | None
-    log_mass: jax.Array
+    log_mass: jax.Array | None
     origin: jax.Array
 
 
@@ -194,28 +194,22 @@ class Proportional(Exchange):
         """See `Exchange`."""
         lanes, rest = form.particles(law)
         log_weights = law.log_weights.reshape(crew.here, -1)
-        n, size = crew.elements * log_weights.shape[1], log_weights.shape[1]
+        n = crew.elements * log_weights.shape[1]
         own = masses(log_weights)
         sums = crew.gathered(own.sums)
         assert policy is not None
         needed = policy.needed_by(Sums(*(jnp.sum(each) for each in sums)), n)
         u = random.uniform(key, (), log_weights.dtype)
 
-        def anew() -> tuple[Any, ...]:
+        def anew() -> tuple[Children, jax.Array]:
             shares = allotted(sums.weights, u, n)
             ends = ends_of(crew, log_weights, own.log, shares, u)
-            found = delivered(crew, lanes, ends.reshape(-1), shares.start)
-            equal = jnp.full_like(own.log, -jnp.log(crew.elements))
-            return found, jnp.full_like(log_weights, -jnp.log(size)), equal
+            return delivered(crew, lanes, ends.reshape(-1), shares.start), jnp.full_like(law.log_weights, -jnp.log(n))
 
-        def as_before() -> tuple[Any, ...]:
+        def as_before() -> tuple[Children, jax.Array]:
             indices = jnp.arange(log_weights.size, dtype=jnp.int32)
-            found = Children(as_wide(crew, lanes), indices, crew.place * log_weights.size + indices)
-            return found, within(log_weights, own.log), own.log
+            return Children(as_wide(crew, lanes), indices, crew.place * log_weights.size + indices), law.log_weights
 
-        if isinstance(needed, bool):
-            found, weights, log_mass = anew() if needed else as_before()
-        else:
-            found, weights, log_mass = jax.lax.cond(needed, anew, as_before)
-        given = Given(found.indices.reshape(log_weights.shape), weights)
-        return Handed(form.of_particles(found.source, rest), given, log_mass, found.ancestors.reshape(log_weights.shape))
+        found, weights = (anew() if needed else as_before()) if isinstance(needed, bool) else jax.lax.cond(needed, anew, as_before)
+        given = Given(found.indices.reshape(log_weights.shape), weights.reshape(log_weights.shape))
+        return Handed(form.of_particles(found.source, rest), given, None, found.ancestors.reshape(log_weights.shape))

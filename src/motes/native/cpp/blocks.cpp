@@ -211,7 +211,7 @@ static void block_moments(const Real* const* rows, int x, const Real* __restrict
   }
 }
 
-// args: log weights `(n)`, points `(x, n)`, more points; rets: mean `(x)`, covariance `(x, x)`
+// args: log weights `(n)`, points `(x, n)`, more points; rets: mean `(x)`, covariance `(x, x)` and, where it is asked for, the sum of weights
 static void moments(const Frame& frame, const Team& team) {
   Operand out = frame.ret(0);
   Batch batch(out, 1, frame.elements(), false);
@@ -248,6 +248,7 @@ static void moments(const Frame& frame, const Team& team) {
     }
     Real* mean = batch.of<Real>(out, run);
     Real* cov = batch.of<Real>(frame.ret(1), run);
+    if (frame.call->rets.size > 2) *batch.of<Real>(frame.ret(2), run) = (Real)all[0];
     const double* scatter = all + 1 + x;
     for (int64_t r = 0; r < x; r++) {
       mean[r] = (Real)all[1 + r];
