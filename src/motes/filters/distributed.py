@@ -185,7 +185,6 @@ class Distributed(Around, TwoStageFilter):
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             given_key = random.child(key, random.RESAMPLE)
             handed = self.exchange.handed(crew, given_key, getattr(self.filter, "policy", None), form, form.law(lanes, rest), t)
-            handed = jax.lax.optimization_barrier(handed)
             keys = crew.own(random.step_keys(key, self.elements))
 
             def one(own: tuple[jax.Array, Any], law: Any) -> tuple[Any, Any]:
