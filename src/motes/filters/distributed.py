@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, engine, random
 from motes.core.devices import Crew, shared_out
@@ -50,7 +51,8 @@ class Distributed(Around, TwoStageFilter):
         (50, 1)
 
     Attributes:
-        filter: the inner filter, a `ParticleFilter` or a `MarginalizedParticleFilter`; or another whose law is a `Cloud` or a `MarginalCloud`.
+        filter: the inner filter, a `ParticleFilter` or a `MarginalizedParticleFilter`; or another of n particles that predicts and corrects
+            a `Cloud` or a `MarginalCloud`.
         elements: K, which divides the number of particles.
         exchange: how elements exchange particles: `Proportional`, `Ring`, `Butterfly` or `Apart`.
     """
@@ -87,7 +89,7 @@ class Distributed(Around, TwoStageFilter):
         name, filter = type(self.exchange).__name__, self.filter
         instead = "Use mo.Ring(0.1), whose elements resample themselves."
         if not filter.resamples_first:
-            checks.refuse("Distributed filter", f"one that resamples first, by a scheme and a policy, for {name}", repr(filter)[:80], instead)
+            checks.refuse("Distributed filter", f"one that resamples by scheme and policy, for {name}", repr(filter)[:100], instead)
         scheme, policy = (getattr(filter, field) for field in ("scheme", "policy"))
         if type(scheme) is not Systematic:
             checks.refuse("Distributed filter scheme", f"Systematic, for {name} (one comb for all)", type(scheme).__name__, instead)
@@ -99,6 +101,19 @@ class Distributed(Around, TwoStageFilter):
     def size(self) -> int:
         """Number of particles of an element."""
         return getattr(self.filter, "n") // self.elements  # noqa: B009
+
+    def sent(self, model: Any, devices: int) -> int:
+        """Return the bytes that each of so many devices sends in a step, beside a few numbers of each element.
+
+        Args:
+            model: a state-space or mixed linear model that needs no inputs to be looked at.
+            devices: number of devices.
+        """
+        ready = self.filter.prepare(model.independent()[0], None)
+        law = jax.eval_shape(self._each.init, jax.random.key(0), ready)
+        lanes, _ = Form(law).particles(law)
+        return self.exchange.sent(self.size * self.elements, self.elements, devices, sum(
+            int(np.prod(lane.shape[:-1])) * lane.dtype.itemsize for lane in lanes))  # fmt: skip
 
     @property
     def _each(self) -> Any:

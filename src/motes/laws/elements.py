@@ -269,7 +269,7 @@ class InElements(Law):
                 parts = rows.reshape(rows.shape[0], crew.here, -1)
                 return jnp.sum(crew.gathered(one_by_one(lambda k: jnp.sum(row(parts, k), axis=-1), crew.here)), axis=0)
 
-            return [circular.gathered(*lanes, angles, total)], ()
+            return [circular.gathered(lanes[0], lanes[1], angles, total)], ()
 
         return shared_out(work, self.elements, [points, self.log_weights], [], ranks=[2])[0][0]  # type: ignore[attr-defined]
 
@@ -310,7 +310,7 @@ class ElementMarginalCloud(InElements, MarginalCloud):
 
     elements: int = static(default=1)
 
-    def gathered(self, angles: tuple[int, ...]) -> "ElementMarginalCloud":
+    def gathered(self, angles: tuple[int, ...]) -> Any:
         """Return the cloud with particles and means on one branch of the states, in the user's order, that are angles."""
         if not angles:
             return self

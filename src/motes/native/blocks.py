@@ -100,7 +100,8 @@ def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Arr
 
     def native(*given: jax.Array) -> tuple[jax.Array, jax.Array]:
         of_particles = ([True] * len(given), [False, False])
-        return tuple(call_on_particles(_without_model(dtype), "motes_moments", shapes, given, of_particles))
+        mean, cov = call_on_particles(_without_model(dtype), "motes_moments", shapes, given, of_particles)
+        return mean, cov
 
     return differentiable(native, engine.original(cloud.weighted_moments))(log_weights, *full)
 
