@@ -23,11 +23,14 @@ from .core.devices import devices as devices
 from .core.hosts import join as join
 from .core.record import record as record
 from .core.record import replace as replace
+from .costs.complexity import sampling_period as sampling_period
+from .costs.measure import fit_step_time as fit_step_time
 from .diagnostics.diagnose import diagnose as diagnose
 from .filters import keep as keep
 from .filters.adapting import Adapting as Adapting
 from .filters.adaptive_size import AdaptiveSize as AdaptiveSize
 from .filters.auxiliary import AuxiliaryParticleFilter as AuxiliaryParticleFilter
+from .filters.combined import combined as combined
 from .filters.cost_reference import CostReferenceParticleFilter as CostReferenceParticleFilter
 from .filters.cubature_kalman import CubatureKalmanFilter as CubatureKalmanFilter
 from .filters.distributed import Distributed as Distributed

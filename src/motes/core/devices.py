@@ -1,7 +1,7 @@
 """On how many devices the elements of a filter are shared out, and what a device can ask of the others.
 
-Elements belong to a filter (see `filters/distributed.py`); which device has which is decided here alone, so that no result can depend on it:
-each device has as many consecutive elements as any other, and between them go numbers of each element, in the order of elements, and
+Elements belong to a filter (see `filters/distributed.py`); which device has which is decided here alone, so that no result can depend on
+it: each device has as many consecutive elements as any other, and between them go numbers of each element, in the order of elements, and
 particles, which are the same wherever they are.
 """
 
@@ -150,8 +150,6 @@ def brought_here(tree: Any) -> Any:
         there = leaf.sharding.device_set if isinstance(leaf, jax.Array) and checks.is_concrete(leaf) else set()
         if len(there) < 2 or there == wanted:
             return leaf
-        if jnp.issubdtype(leaf.dtype, jax.dtypes.extended):
-            return jax.random.wrap_key_data(np.asarray(jax.random.key_data(leaf)), impl="threefry2x32")
         return jnp.asarray(np.asarray(leaf))
 
     return jax.tree.map(brought, tree)

@@ -1,5 +1,8 @@
 from .calibration import Calibration as Calibration
 from .calibration import calibrate as calibrate
+from .complexity import elements_for_period as elements_for_period
+from .complexity import particles_for_period as particles_for_period
+from .complexity import sampling_period as sampling_period
 from .flops import Costs as Costs
 from .flops import complexity as complexity
 from .flops import equivalent_particles as equivalent_particles

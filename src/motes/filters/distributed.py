@@ -8,10 +8,11 @@ What is added over elements is added in their order, wherever they are: results 
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from motes.core import checks, engine, random
 from motes.core.devices import Crew, shared_out
@@ -50,7 +51,8 @@ class Distributed(Around, TwoStageFilter):
         (50, 1)
 
     Attributes:
-        filter: the inner filter, a `ParticleFilter` or a `MarginalizedParticleFilter`; or another whose law is a `Cloud` or a `MarginalCloud`.
+        filter: the inner filter, a `ParticleFilter` or a `MarginalizedParticleFilter`; or another of n particles that predicts and corrects
+            a `Cloud` or a `MarginalCloud`.
         elements: K, which divides the number of particles.
         exchange: how elements exchange particles: `Proportional`, `Ring`, `Butterfly` or `Apart`.
     """
@@ -87,7 +89,7 @@ class Distributed(Around, TwoStageFilter):
         name, filter = type(self.exchange).__name__, self.filter
         instead = "Use mo.Ring(0.1), whose elements resample themselves."
         if not filter.resamples_first:
-            checks.refuse("Distributed filter", f"one that resamples first, by a scheme and a policy, for {name}", repr(filter)[:80], instead)
+            checks.refuse("Distributed filter", f"one that resamples by scheme and policy, for {name}", repr(filter)[:100], instead)
         scheme, policy = (getattr(filter, field) for field in ("scheme", "policy"))
         if type(scheme) is not Systematic:
             checks.refuse("Distributed filter scheme", f"Systematic, for {name} (one comb for all)", type(scheme).__name__, instead)
@@ -99,6 +101,19 @@ class Distributed(Around, TwoStageFilter):
     def size(self) -> int:
         """Number of particles of an element."""
         return getattr(self.filter, "n") // self.elements  # noqa: B009
+
+    def sent(self, model: Any, devices: int) -> int:
+        """Return the bytes that each of so many devices sends in a step, beside a few numbers of each element.
+
+        Args:
+            model: a state-space or mixed linear model that needs no inputs to be looked at.
+            devices: number of devices.
+        """
+        ready = self.filter.prepare(model.independent()[0], None)
+        law = jax.eval_shape(self._each.init, jax.random.key(0), ready)
+        lanes, _ = Form(law).particles(law)
+        return self.exchange.sent(self.size * self.elements, self.elements, devices, sum(
+            int(np.prod(lane.shape[:-1])) * lane.dtype.itemsize for lane in lanes))  # fmt: skip
 
     @property
     def _each(self) -> Any:
@@ -137,15 +152,17 @@ class Distributed(Around, TwoStageFilter):
 
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             law = form.cut(form.law(lanes, rest), crew.here)
-            log_mass = masses(law.log_weights).log
-            law = replace(law, log_weights=jax.lax.optimization_barrier(within(law.log_weights, log_mass)))
+            log_mass = None
+            if not self.filter.resamples_first:
+                log_mass = masses(law.log_weights).log
+                law = replace(law, log_weights=jax.lax.optimization_barrier(within(law.log_weights, log_mass)))
             keys = crew.own(random.step_keys(key, self.elements))
             stage = lambda key, law: self._each.correct(key, model, law, y, u, t)  # noqa: E731
             at_once = self._at_once(law)
             after, info = form.mapped(stage, at_once, keys, law, True)
             if at_once:
                 info = self._with_alarm(stage, form, keys, law, info)
-            return _finished(crew, form, log_mass, after, info)
+            return _finished(crew, form, log_mass, after, info, self._prior(law.log_weights, log_mass))
 
         return self._taken(form, shared_out(work, self.elements, *form.arrays(state.plain), ranks=form.ranks))
 
@@ -183,7 +200,6 @@ class Distributed(Around, TwoStageFilter):
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
             given_key = random.child(key, random.RESAMPLE)
             handed = self.exchange.handed(crew, given_key, getattr(self.filter, "policy", None), form, form.law(lanes, rest), t)
-            handed = jax.lax.optimization_barrier(handed)
             keys = crew.own(random.step_keys(key, self.elements))
 
             def one(own: tuple[jax.Array, Any], law: Any) -> tuple[Any, Any]:
@@ -192,9 +208,15 @@ class Distributed(Around, TwoStageFilter):
 
             law, info = form.mapped(one, self._at_once(state), (keys, handed.given), handed.law, handed.given is None)
             origin = handed.origin if handed.given is not None else jnp.take_along_axis(handed.origin, law.ancestors, axis=1)
-            return _finished(crew, form, handed.log_mass, replace(law, ancestors=origin), info)
+            before = handed.law.log_weights if handed.given is None else handed.given.log_weights
+            return _finished(crew, form, handed.log_mass, replace(law, ancestors=origin), info, self._prior(before, handed.log_mass))
 
         return self._taken(form, shared_out(work, self.elements, *form.arrays(state.plain), ranks=form.ranks))
+
+    def _prior(self, log_weights: jax.Array, log_mass: jax.Array | None) -> jax.Array:
+        """Return about the log masses `(e,)` of elements, by a few of their particles where they are not known."""
+        few = log_weights[..., alarm.some_of(self.size)]
+        return one_by_one(lambda k: log_sum(few[k]), few.shape[0]) if log_mass is None else log_mass
 
     def _at_once(self, law: Any) -> bool:
         """Whether the elements of a device are worked on at once: native kernels then go over them, in an order that is each one's own."""
@@ -208,54 +230,44 @@ class Distributed(Around, TwoStageFilter):
         return self._whole(form, (lanes, rest)), info
 
 
-class _Numbers(NamedTuple):
-    """What is gathered of each element: log mass before, and of the record of the step what is asked of it."""
-
-    mass: jax.Array
-    log_evidence: jax.Array
-    ess: jax.Array
-    invalid: jax.Array
-    lowest: jax.Array
-    highest: jax.Array
-    shortfall: jax.Array
-    nis: jax.Array
-    freedom: jax.Array
-
-
-def _finished(crew: Crew, form: Form, log_mass: jax.Array, law: Any, info: Info | None) -> Any:
+def _finished(  # noqa: PLR0913 (what a stage made, and from what)
+    crew: Crew, form: Form, log_mass: jax.Array | None, law: Any, info: Info | None, prior: jax.Array
+) -> Any:
     """Return the arrays of what a stage made, weights normalized over all, and the record of the step, if it is one.
 
     Args:
         crew: the elements here.
         form: of the law.
-        log_mass: log masses of the elements here before the stage, `(e,)`.
-        law: of the elements here, cut; weights normalized within each.
+        log_mass: log masses of the elements here before the stage, `(e,)`; None where the weights, and the evidence, have them in them.
+        law: of the elements here, cut; weights normalized within each if it is weighed, or if there are log masses.
         info: of each element here.
+        prior: log masses of them before they were weighed, up to a constant, `(e,)`.
     """
-    # barriers: what is rounded how must not depend on what stands beside it, which differs with the number of elements here
-    log_weights, info, log_mass = jax.lax.optimization_barrier((law.log_weights, info, log_mass))
     if info is not None:
-        own = _Numbers(log_mass, *(getattr(info, name) for name in _Numbers._fields[1:]))
-        info, total = _together(crew.gathered(own))
-        log_mass = log_mass + own.log_evidence - total
-    law = replace(law, log_weights=added(log_weights, log_mass))
+        info = replace(info, log_evidence=info.log_evidence if log_mass is None else info.log_evidence + log_mass)
+        mine = info.log_evidence
+        info, total = _together(*crew.gathered((info, prior)))
+        log_mass = mine - total
+    if log_mass is not None:
+        law = replace(law, log_weights=added(law.log_weights, log_mass))
     lanes, rest = form.arrays(form.uncut(law))
     return lanes, (rest, info)
 
 
-def _together(numbers: _Numbers) -> tuple[Info, jax.Array]:
-    """Return the record of the step from what all elements say `(K,)`, and the log of the sum of mass times evidence."""
-    before = log_sum(numbers.mass)
-    joint = jnp.where(jnp.isfinite(numbers.mass), numbers.mass + numbers.log_evidence, -jnp.inf)
-    total = log_sum(joint)
-    shares = jnp.exp(joint - jnp.where(jnp.isfinite(total), total, 0))
-    squares = jnp.sum(jnp.where(shares > 0, shares**2 / numbers.ess, 0))
-    found = [total - before, 1 / squares, jnp.sum(numbers.invalid), jnp.min(numbers.lowest), jnp.max(numbers.highest),
-             jnp.min(numbers.shortfall)]  # fmt: skip
+def _together(of_elements: Info, prior: jax.Array) -> tuple[Info, jax.Array]:
+    """Return the record of the step from those of all elements `(K,)`, evidences times masses, and the log of the sum of these.
+
+    Squared distances of the measurement, and their degrees of freedom, are averaged with the masses of before, `prior` in logs.
+    """
+    joint = of_elements.log_evidence
+    total = log_sum(jnp.where(jnp.isnan(joint), -jnp.inf, joint))
+    shares = jnp.where(joint > -jnp.inf, jnp.exp(joint - jnp.where(jnp.isfinite(total), total, 0)), 0)
+    squares = jnp.sum(jnp.where(shares > 0, shares**2 / of_elements.ess, 0))
+    found = [total, 1 / squares, jnp.sum(of_elements.invalid), jnp.min(of_elements.lowest), jnp.max(of_elements.highest),
+             jnp.min(of_elements.shortfall)]  # fmt: skip
     info = info_of(jnp.stack([one.astype(total.dtype) for one in found]))
-    # of elements that predict nothing of the measurement none is asked
-    weights = jnp.where(numbers.freedom > 0, jnp.exp(numbers.mass - before), 0)
+    weights = jnp.where(of_elements.freedom > 0, jnp.exp(prior - jnp.max(prior)), 0)
     known = jnp.sum(weights)
     square, freedom = (jnp.sum(jnp.where(weights > 0, weights * one, 0)) / jnp.where(known > 0, known, 1)
-                       for one in (numbers.nis, numbers.freedom))  # fmt: skip
+                       for one in (of_elements.nis, of_elements.freedom))  # fmt: skip
     return with_innovation(info, Innovation(square, freedom)), total

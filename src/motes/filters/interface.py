@@ -64,7 +64,8 @@ class Filter(ABC):
     descends: ClassVar[bool] = True
     """Whether each particle came from the one that it names as its ancestor; not so where nodes stay or members are moved by all others."""
     resamples_first: ClassVar[bool] = False
-    """Whether `predict` (or `ahead`) begins by resampling with `scheme` where `policy` says so, and does nothing else with the weights."""
+    """Whether `predict` (or `ahead`) begins by resampling with `scheme` where `policy` says so, and nothing else is done with weights than
+    to multiply them: a law whose weights add up to something else than one then makes an evidence as many times as large."""
     gate: ClassVar[Any] = None
     """Probability with which a measurement lies inside the gate where the filter's claims are right; None for no gate. A field of some."""
     guide: ClassVar[Guide]

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, random
+from motes.core import checks, devices, random
 from motes.core.loop import loop, with_first
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, KeyLike, Measurements
@@ -126,7 +126,7 @@ def _end_of(after: History, filter: Filter, model: Any, u: Inputs, y: Any) -> Ca
         end = replace(end, y=archive.fill(Path("run after: measurements"), y, {"value": end.y.value, "there": end.y.there}))
     if isinstance(end.state, dict):
         end = replace(end, state=archive.fill(Path("run after: state"), carry_like(filter, model, u, y).state, end.state))
-    return end
+    return devices.brought_here(end)
 
 
 def _check_end(end: Carry, filter: Filter, model: Any, u: Inputs, y: Any) -> None:

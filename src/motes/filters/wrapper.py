@@ -33,7 +33,7 @@ class Around:
             MotesError: the inner filter is none, or a parameter has a value it cannot have.
         """
         checks.instance(f"{type(self).__name__} filter", self.filter, Filter, "a filter such as ParticleFilter(n=1000)")
-        super().__post_init__()
+        super().__post_init__()  # type: ignore[misc]
         if self.on_collapse == "raise":
             object.__setattr__(self, "on_collapse", self.filter.on_collapse)
 

@@ -193,9 +193,14 @@ def added(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
 
 
 @engine.replaceable
-def moments_of(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return means `(e, x)` and covariances `(e, x, x)` of points `(x, e, m)` under log weights `(e, m)`, normalized within each element."""
-    return one_by_one(lambda k: weighted_moments(log_weights[k], row(points, k)), log_weights.shape[0])
+def moments_of(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return masses `(e,)`, means `(e, x)` and covariances `(e, x, x)` of points `(x, e, m)` under log weights `(e, m)`."""
+
+    def moments(k: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        log_mass = log_sum(log_weights[k])
+        return jnp.exp(log_mass), *weighted_moments(within(log_weights[k][None], log_mass[None])[0], row(points, k))
+
+    return one_by_one(moments, log_weights.shape[0])
 
 
 class InElements(Law):
@@ -214,14 +219,9 @@ class InElements(Law):
         form = Form(self.plain)
 
         def work(crew: Crew, lanes: Any, rest: Any) -> Any:
-            cut = form.cut(form.law(lanes, rest), crew.here)
-            mass = masses(cut.log_weights).log
-            cut = jax.lax.optimization_barrier(replace(cut, log_weights=within(cut.log_weights, mass)))
-            mean, cov = self._moments_of(form, cut)
-            return [], crew.gathered((mass, mean, cov))
+            return [], crew.gathered(self._moments_of(form, form.cut(form.law(lanes, rest), crew.here)))
 
-        _, (mass, means, covs) = shared_out(work, self.elements, *form.arrays(self.plain), ranks=[])
-        weights = jnp.exp(mass - jnp.max(mass))
+        _, (weights, means, covs) = shared_out(work, self.elements, *form.arrays(self.plain), ranks=[])
         shares = (weights / jnp.sum(weights))[:, None]
         mean = jnp.sum(jnp.where(shares > 0, shares * means, 0), axis=0)
         off = means - mean
@@ -229,12 +229,14 @@ class InElements(Law):
         shares = shares[..., None]
         return mean, jnp.sum(jnp.where(shares > 0, shares * covs, 0), axis=0)
 
-    def _moments_of(self, form: Form, law: Any) -> tuple[jax.Array, jax.Array]:
-        """Return means `(e, x)` and covariances `(e, x, x)` of the elements of a cut law."""
+    def _moments_of(self, form: Form, law: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return masses `(e,)`, means `(e, x)` and covariances `(e, x, x)` of the elements of a cut law."""
 
-        def moments(k: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def moments(k: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
             own = form.each(lambda lane: row(lane, k), law)
-            return own.mean(), own.cov()
+            log_mass = log_sum(own.log_weights)
+            own = replace(own, log_weights=within(own.log_weights[None], log_mass[None])[0])
+            return jnp.exp(log_mass), own.mean(), own.cov()
 
         return one_by_one(moments, law.log_weights.shape[0])
 
@@ -267,7 +269,7 @@ class InElements(Law):
                 parts = rows.reshape(rows.shape[0], crew.here, -1)
                 return jnp.sum(crew.gathered(one_by_one(lambda k: jnp.sum(row(parts, k), axis=-1), crew.here)), axis=0)
 
-            return [circular.gathered(*lanes, angles, total)], ()
+            return [circular.gathered(lanes[0], lanes[1], angles, total)], ()
 
         return shared_out(work, self.elements, [points, self.log_weights], [], ranks=[2])[0][0]  # type: ignore[attr-defined]
 
@@ -285,7 +287,7 @@ class ElementCloud(InElements, Cloud):
 
     elements: int = static(default=1)
 
-    def _moments_of(self, form: Form, law: Any) -> tuple[jax.Array, jax.Array]:
+    def _moments_of(self, form: Form, law: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
         return moments_of(law.log_weights, law.particles)
 
     def gathered(self, angles: tuple[int, ...]) -> "ElementCloud":
@@ -308,7 +310,7 @@ class ElementMarginalCloud(InElements, MarginalCloud):
 
     elements: int = static(default=1)
 
-    def gathered(self, angles: tuple[int, ...]) -> "ElementMarginalCloud":
+    def gathered(self, angles: tuple[int, ...]) -> Any:
         """Return the cloud with particles and means on one branch of the states, in the user's order, that are angles."""
         if not angles:
             return self

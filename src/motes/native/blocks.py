@@ -1,6 +1,6 @@
 """Native kernels that need no model, offered in place of the operations of the lower rooms that they replace."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -100,7 +100,8 @@ def weighted_moments(log_weights: jax.Array, *parts: jax.Array) -> tuple[jax.Arr
 
     def native(*given: jax.Array) -> tuple[jax.Array, jax.Array]:
         of_particles = ([True] * len(given), [False, False])
-        return tuple(call_on_particles(_without_model(dtype), "motes_moments", shapes, given, of_particles))
+        mean, cov = call_on_particles(_without_model(dtype), "motes_moments", shapes, given, of_particles)
+        return mean, cov
 
     return differentiable(native, engine.original(cloud.weighted_moments))(log_weights, *full)
 
@@ -180,12 +181,23 @@ def masses_of(log_weights: jax.Array) -> jax.Array | None:
     return differentiable(native, engine.original(elements.masses_of))(log_weights)
 
 
-def moments_of(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, jax.Array] | None:
+def moments_of(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array] | None:
     """See `elements.moments_of`."""
     if points.shape[0] > MOST_ROWS or not usable(log_weights.shape[1], log_weights.dtype, points.dtype):
         return None
-    with engine.for_elements():
-        return jax.vmap(cloud.weighted_moments, (0, 1))(log_weights, points)
+    dtype, x = points.dtype, points.shape[0]
+    shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape in ((x,), (x, x), ())]
+
+    def native(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        def one(log_weights: jax.Array, points: jax.Array) -> Sequence[jax.Array]:
+            of_particles = ([True, True], [False] * 3)
+            return call_on_particles(_without_model(dtype), "motes_moments", shapes, [log_weights, points], of_particles)
+
+        with engine.for_elements():
+            mean, cov, mass = jax.vmap(one, (0, 1))(log_weights, points)
+        return mass, mean, cov
+
+    return differentiable(native, engine.original(elements.moments_of))(log_weights, points)
 
 
 def ends(log_weights: jax.Array, numbers: jax.Array, whole: jax.Array) -> jax.Array | None:

@@ -14,7 +14,7 @@ from motes.core import checks, random
 from motes.core.devices import Crew
 from motes.core.record import record, replace, static
 from motes.laws.elements import Form, Sums, masses, within
-from motes.resampling.allotment import Children, allotted, as_wide, delivered, ends_of
+from motes.resampling.allotment import Children, allotted, as_wide, delivered, ends_of, strip_width
 from motes.resampling.policy import Policy
 from motes.resampling.schemes import Given
 
@@ -25,13 +25,13 @@ class Handed(NamedTuple):
     Attributes:
         law: particles to begin with: cut `(..., e, m)`, or not `(..., s)` where `given` picks from them.
         given: children of each element, arrays `(e, m)`; None where the filter resamples itself.
-        log_mass: log masses of the elements after that, `(e,)`.
+        log_mass: log masses of the elements after that, `(e,)`, where the weights are normalized within each; None where over all.
         origin: the index of each particle among all those of the step before, `(e, m)`.
     """
 
     law: Any
     given: Given | None
-    log_mass: jax.Array
+    log_mass: jax.Array | None
     origin: jax.Array
 
 
@@ -43,6 +43,17 @@ class Exchange(ABC):
 
     def check(self, elements: int) -> None:  # noqa: B027 (most take any number)
         """Refuse numbers of elements that the exchange cannot serve."""
+
+    @abstractmethod
+    def sent(self, n: int, elements: int, devices: int, particle: int) -> int:
+        """Return the bytes that a device sends in a step, beside a few numbers of each element.
+
+        Args:
+            n: number of particles, of all elements.
+            elements: number of elements.
+            devices: number of devices.
+            particle: bytes of a particle, without its weight and its ancestor.
+        """
 
     @abstractmethod
     def handed(self, crew: Crew, key: jax.Array, policy: Policy | None, form: Form, law: Any, t: Any) -> Handed:
@@ -58,63 +69,80 @@ class Exchange(ABC):
         """
 
 
-@record
-class Apart(Exchange):
-    """No exchange: each element is a particle filter of its own, and its mass is its evidence.
+class OwnNumber(Exchange):
+    """An exchange by which each element keeps its number of particles, resamples itself, and has a mass.
 
-    Masses drift apart like the evidences of independent runs: soon few elements have any, and the rest of the work is lost. It is here
-    for comparison, and for `mo.combined`'s sake; docs/scale.md has figures.
-
-    Example:
-        >>> filter = mo.Distributed(mo.ParticleFilter(n=1024), elements=4, exchange=mo.Apart())
+    Of each element the particles at every `stride`-th place go, evenly spaced since neighbors are often children of one parent; none where
+    that is 0.
     """
+
+    stride: int = 0
+
+    def columns(self, size: int) -> int:
+        """Number of particles that go, of an element of so many."""
+        return -(-size // self.stride) if self.stride else 0
+
+    def received(self, crew: Crew, columns: list[jax.Array], t: Any) -> list[jax.Array]:
+        """Return for each element here the columns `(..., e, c)` that it gets."""
+        return columns
+
+    def sent(self, n: int, elements: int, devices: int, particle: int) -> int:
+        """The share of the last element: particles, weights, ancestors and where they came from."""
+        return 0 if devices == 1 else self.columns(n // elements) * (particle + 12)
 
     def handed(self, crew: Crew, key: jax.Array, policy: Policy | None, form: Form, law: Any, t: Any) -> Handed:
         """See `Exchange`."""
         cut = form.cut(law, crew.here)
         size = cut.log_weights.shape[-1]
         first = (crew.first + jnp.arange(crew.here, dtype=jnp.int32)) * size
-        cut, origin = self.swapped(crew, form, cut, first[:, None] + jnp.arange(size, dtype=jnp.int32), t)
+        origin = first[:, None] + jnp.arange(size, dtype=jnp.int32)
+        if self.stride:
+            lanes, rest = form.arrays(cut)
+            goes = jnp.arange(size) % self.stride == 0
+            columns = self.received(crew, [lane[..., :: self.stride] for lane in (*lanes, origin)], t)
+            *lanes, origin = (jnp.where(goes, self._spread(new, size), lane) for new, lane in zip(columns, (*lanes, origin), strict=True))
+            cut = form.law(lanes, rest)
         log_mass = masses(cut.log_weights).log
         return Handed(replace(cut, log_weights=within(cut.log_weights, log_mass)), None, log_mass, origin)
 
-    def swapped(self, crew: Crew, form: Form, cut: Any, origin: jax.Array, t: Any) -> tuple[Any, jax.Array]:
-        """Return the cut law and the origin of its particles once they have been exchanged."""
-        return cut, origin
+    def _spread(self, columns: jax.Array, size: int) -> jax.Array:
+        """Return an array `(..., size)` that has columns at the places that go."""
+        shape = columns.shape
+        return jnp.broadcast_to(columns[..., None], (*shape, self.stride)).reshape(*shape[:-1], -1)[..., :size]
 
 
-class _Strided(Apart):
-    """An exchange of a share of the columns of each element, evenly spaced: neighbors are often children of one parent."""
-
-    share: float
-
-    def _check_share(self) -> None:
-        checks.above_zero(f"{type(self).__name__} share", self.share, 0.5)
-
-    def received(self, crew: Crew, columns: list[jax.Array], t: Any) -> list[jax.Array]:
-        """Return for each element here the columns `(..., e, c)` that it gets."""
-        raise NotImplementedError
-
-    def swapped(self, crew: Crew, form: Form, cut: Any, origin: jax.Array, t: Any) -> tuple[Any, jax.Array]:
-        """See `Apart`."""
-        lanes, rest = form.arrays(cut)
-        stride = round(1 / self.share)
-        size = origin.shape[-1]
-        goes = jnp.arange(size) % stride == 0
-        columns = self.received(crew, [lane[..., ::stride] for lane in (*lanes, origin)], t)
-        spread = [jnp.broadcast_to(column[..., None], (*column.shape, stride)).reshape(*column.shape[:-1], -1)[..., :size] for column in columns]
-        *lanes, origin = (jnp.where(goes, new, lane) for new, lane in zip(spread, (*lanes, origin), strict=True))
-        return form.law(lanes, rest), origin
+def _stride(name: str, share: Any) -> int:
+    """Return how far apart the particles are of which a share goes."""
+    checks.above_zero(f"{name} share", share, 0.5)
+    return round(1 / share)
 
 
 @record
-class Ring(_Strided):
+class Apart(OwnNumber):
+    """No exchange: each element is a particle filter of its own, and its mass is its evidence.
+
+    Masses drift apart like the evidences of independent runs: soon few elements have any, and the work of the others is lost. It is here
+    for comparison; docs/scale.md has figures.
+
+    Source: Bolic, Djuric, Hong 2005, Resampling algorithms and architectures for distributed particle filters.
+
+    Example:
+        >>> filter = mo.Distributed(mo.ParticleFilter(n=1024), elements=4, exchange=mo.Apart())
+    """
+
+    def sent(self, n: int, elements: int, devices: int, particle: int) -> int:
+        """Nothing."""
+        return 0
+
+
+@record
+class Ring(OwnNumber):
     """Each element keeps its number of particles and its mass, and gives a share of them to the next one in a ring (RNA).
 
     Masses even out with the particles that go round. Less is sent than by automatic sharding, always the same amount, to one neighbor.
 
-    Source: Bolic, Djuric, Hong 2005, Resampling algorithms and architectures for distributed particle filters; Miguez, Vazquez 2016, A proof
-    of uniform convergence over time for a distributed particle filter.
+    Source: Bolic, Djuric, Hong 2005, Resampling algorithms and architectures for distributed particle filters; Miguez, Vazquez 2016, A
+    proof of uniform convergence over time for a distributed particle filter.
 
     Example:
         >>> filter = mo.Distributed(mo.ParticleFilter(n=1024), elements=4, exchange=mo.Ring(0.1))
@@ -127,16 +155,21 @@ class Ring(_Strided):
 
     def __post_init__(self) -> None:
         """Refuse shares outside (0, 0.5]."""
-        self._check_share()
+        _ = self.stride
+
+    @property
+    def stride(self) -> int:  # type: ignore[override]
+        """How far apart the particles are that go."""
+        return _stride(type(self).__name__, self.share)
 
     def received(self, crew: Crew, columns: list[jax.Array], t: Any) -> list[jax.Array]:
-        """See `_Strided`."""
+        """See `OwnNumber`."""
         before = crew.from_device([column[..., -1:, :] for column in columns], 1)
         return [jnp.concatenate([one, column[..., :-1, :]], axis=-2) for one, column in zip(before, columns, strict=True)]
 
 
 @record
-class Butterfly(_Strided):
+class Butterfly(OwnNumber):
     """Each element exchanges a share of its particles with a partner, at distances 1, 2, 4, ... from step to step.
 
     After log2 K steps every element has heard of all others, where a ring takes K; messages go further.
@@ -154,15 +187,25 @@ class Butterfly(_Strided):
 
     def __post_init__(self) -> None:
         """Refuse shares outside (0, 0.5]."""
-        self._check_share()
+        _ = self.stride
+
+    @property
+    def stride(self) -> int:  # type: ignore[override]
+        """How far apart the particles are that go."""
+        return _stride(type(self).__name__, self.share)
 
     def check(self, elements: int) -> None:
         """Refuse numbers of elements that are no powers of two."""
         if elements & (elements - 1):
             checks.refuse("Distributed elements", "a power of two, for a Butterfly", elements)
 
+    def sent(self, n: int, elements: int, devices: int, particle: int) -> int:
+        """The share of all elements at a step across devices, of which there are log2(devices) in log2 K; the mean of all steps."""
+        whole = elements // devices * self.columns(n // elements) * (particle + 12)
+        return round(whole * (devices.bit_length() - 1) / max(elements.bit_length() - 1, 1))
+
     def received(self, crew: Crew, columns: list[jax.Array], t: Any) -> list[jax.Array]:
-        """See `_Strided`."""
+        """See `OwnNumber`."""
 
         def across(distance: int) -> list[jax.Array]:
             if distance >= crew.here:
@@ -190,32 +233,30 @@ class Proportional(Exchange):
 
     resamples = True
 
+    def sent(self, n: int, elements: int, devices: int, particle: int) -> int:
+        """Two strips of children, with their ancestors."""
+        return 0 if devices == 1 else 2 * strip_width(n, devices) * (particle + 4)
+
     def handed(self, crew: Crew, key: jax.Array, policy: Policy | None, form: Form, law: Any, t: Any) -> Handed:
         """See `Exchange`."""
         lanes, rest = form.particles(law)
         log_weights = law.log_weights.reshape(crew.here, -1)
-        n, size = crew.elements * log_weights.shape[1], log_weights.shape[1]
+        n = crew.elements * log_weights.shape[1]
         own = masses(log_weights)
         sums = crew.gathered(own.sums)
         assert policy is not None
         needed = policy.needed_by(Sums(*(jnp.sum(each) for each in sums)), n)
         u = random.uniform(key, (), log_weights.dtype)
 
-        def anew() -> tuple[Any, ...]:
+        def anew() -> tuple[Children, jax.Array]:
             shares = allotted(sums.weights, u, n)
             ends = ends_of(crew, log_weights, own.log, shares, u)
-            found = delivered(crew, lanes, ends.reshape(-1), shares.start)
-            equal = jnp.full_like(own.log, -jnp.log(crew.elements))
-            return found, jnp.full_like(log_weights, -jnp.log(size)), equal
+            return delivered(crew, lanes, ends.reshape(-1), shares.start), jnp.full_like(law.log_weights, -jnp.log(n))
 
-        def as_before() -> tuple[Any, ...]:
+        def as_before() -> tuple[Children, jax.Array]:
             indices = jnp.arange(log_weights.size, dtype=jnp.int32)
-            found = Children(as_wide(crew, lanes), indices, crew.place * log_weights.size + indices)
-            return found, within(log_weights, own.log), own.log
+            return Children(as_wide(crew, lanes), indices, crew.place * log_weights.size + indices), law.log_weights
 
-        if isinstance(needed, bool):
-            found, weights, log_mass = anew() if needed else as_before()
-        else:
-            found, weights, log_mass = jax.lax.cond(needed, anew, as_before)
-        given = Given(found.indices.reshape(log_weights.shape), weights)
-        return Handed(form.of_particles(found.source, rest), given, log_mass, found.ancestors.reshape(log_weights.shape))
+        found, weights = (anew() if needed else as_before()) if isinstance(needed, bool) else jax.lax.cond(needed, anew, as_before)
+        given = Given(found.indices.reshape(log_weights.shape), weights.reshape(log_weights.shape))
+        return Handed(form.of_particles(found.source, rest), given, None, found.ancestors.reshape(log_weights.shape))

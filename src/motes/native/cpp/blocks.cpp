@@ -150,26 +150,19 @@ static void parents(const Frame& frame, const Team& team) {
     int64_t first = *batch.of<const int32_t>(frame.arg(1), run);
     int32_t* slots = batch.of<int32_t>(out, run);
     own.each(blocks, [=](int64_t b) {
-      auto place = [=](int64_t i) {  // where the children of particle i end, in slots here
-        if (i < 0) return (int64_t)0;
-        int64_t end = ends[i] - first;
-        return end < 0 ? (int64_t)0 : (end > n ? n : end);
+      alignas(64) int32_t here[BLOCK + 16];
+      int64_t begin = b * BLOCK;
+      int m = length_of(b, s);
+      auto place = [=](int32_t end) {  // in slots here
+        int64_t at = end - first;
+        return (int32_t)(at < 0 ? 0 : (at > n ? n : at));
       };
-      int64_t begin = b * BLOCK, m = length_of(b, s), low = place(begin - 1), high = b + 1 == blocks ? n : place(begin + m - 1);
-      if (high <= low) return;
-      __builtin_memset(slots + low, 0, sizeof(int32_t) * (high - low));
-      for (int64_t i = begin, from = low; i < begin + m; i++) {
-        int64_t end = place(i);
-        if (end > from) slots[from] = (int32_t)i;
-        from = end;
-      }
-      int32_t latest = 0;
-#pragma omp simd reduction(inscan, max : latest)
-      for (int64_t c = low; c < high; c++) {
-        latest = slots[c] > latest ? slots[c] : latest;
-#pragma omp scan inclusive(latest)
-        slots[c] = latest;
-      }
+      here[0] = b == 0 ? 0 : place(ends[begin - 1]);
+#pragma omp simd
+      for (int i = 0; i < m; i++) here[i + 1] = place(ends[begin + i]);
+      // whose children end before the last slot: it is nobody's, and gets any parent
+      if (b + 1 == blocks) here[m] = (int32_t)n;
+      if (here[m] > here[0]) fill(here, (int32_t)begin, m, slots);
     });
   });
 }
@@ -211,7 +204,7 @@ static void block_moments(const Real* const* rows, int x, const Real* __restrict
   }
 }
 
-// args: log weights `(n)`, points `(x, n)`, more points; rets: mean `(x)`, covariance `(x, x)`
+// args: log weights `(n)`, points `(x, n)`, more points; rets: mean `(x)`, covariance `(x, x)` and, where it is asked for, the sum of weights
 static void moments(const Frame& frame, const Team& team) {
   Operand out = frame.ret(0);
   Batch batch(out, 1, frame.elements(), false);
@@ -248,6 +241,7 @@ static void moments(const Frame& frame, const Team& team) {
     }
     Real* mean = batch.of<Real>(out, run);
     Real* cov = batch.of<Real>(frame.ret(1), run);
+    if (frame.call->rets.size > 2) *batch.of<Real>(frame.ret(2), run) = (Real)all[0];
     const double* scatter = all + 1 + x;
     for (int64_t r = 0; r < x; r++) {
       mean[r] = (Real)all[1 + r];

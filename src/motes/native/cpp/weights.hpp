@@ -89,7 +89,24 @@ static inline void normalize(Real* __restrict joint, Judgement found, int m) {
 
 enum Policy { ALWAYS = 0, NEVER = 1, SIZE = 2, ENTROPY = 3 };
 
-// Turns the cumulative weights of one block into the ancestors of its children [first, last), without branches that cannot be foretold.
+// Turns the ends of the children of one block's particles into the ancestors of these, [ends[0], ends[m]), without branches that cannot
+// be foretold.
+static inline void fill(const int32_t* __restrict ends, int32_t begin, int m, int32_t* __restrict ancestors) {
+  int32_t first = ends[0], last = ends[m];
+  __builtin_memset(ancestors + first, 0, sizeof(int32_t) * (last - first));
+#pragma omp simd
+  for (int i = 0; i < m; i++)
+    if (ends[i + 1] > ends[i]) ancestors[ends[i]] = begin + i;
+  int32_t latest = 0;
+#pragma omp simd reduction(inscan, max : latest)
+  for (int32_t c = first; c < last; c++) {
+    latest = ancestors[c] > latest ? ancestors[c] : latest;
+#pragma omp scan inclusive(latest)
+    ancestors[c] = latest;
+  }
+}
+
+// Turns the cumulative weights of one block into the ancestors of its children [first, last).
 static inline void children(const Real* __restrict weights, double before, double scale, double u, int64_t begin, int m, int32_t first,
                             int32_t last, int32_t* __restrict ancestors) {
   if (last <= first) return;
@@ -108,17 +125,7 @@ static inline void children(const Real* __restrict weights, double before, doubl
   int end = m;
   ends[end] = last;
   while (end > 1 && weights[end - 1] == 0) ends[--end] = last;
-  __builtin_memset(ancestors + first, 0, sizeof(int32_t) * (last - first));
-#pragma omp simd
-  for (int i = 0; i < m; i++)
-    if (ends[i + 1] > ends[i]) ancestors[ends[i]] = (int32_t)begin + i;
-  int32_t latest = 0;
-#pragma omp simd reduction(inscan, max : latest)
-  for (int32_t c = first; c < last; c++) {
-    latest = ancestors[c] > latest ? ancestors[c] : latest;
-#pragma omp scan inclusive(latest)
-    ancestors[c] = latest;
-  }
+  fill(ends, (int32_t)begin, m, ancestors);
 }
 
 // Systematic resampling where the policy asks for it; else every particle is its own ancestor and keeps its weight.
