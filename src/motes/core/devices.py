@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from motes.core import checks
 
@@ -136,6 +136,21 @@ def shared_out(
     shared = jax.shard_map(partial(work, Crew(elements, count)), mesh=_mesh(count), in_specs=given,
                            out_specs=([last(rank) for rank in ranks], PartitionSpec()), check_vma=False)  # fmt: skip
     return shared(list(cut), whole)
+
+
+def laid_out(tree: Any, count: int, what: str) -> Any:
+    """Return arrays `(count, ...)` shared out by their first axis over the devices in force; what is computed of each stays where it is.
+
+    Processes that work as one each do all of it.
+
+    Raises:
+        MotesError: the number of devices does not divide theirs.
+    """
+    if chosen() == 1 or jax.process_count() > 1:
+        return tree
+    if count % chosen():
+        checks.refuse("devices count", f"a divisor of the number of {what}, {count}", chosen())
+    return jax.device_put(tree, NamedSharding(_mesh(chosen()), PartitionSpec(AXIS)))
 
 
 def _mesh(count: int) -> Mesh:

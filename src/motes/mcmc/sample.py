@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
+from motes.core.devices import laid_out
 from motes.core.progress import tracked
 from motes.core.record import is_function, record, static
 from motes.core.settings import enforced, in_force
@@ -38,7 +39,7 @@ class Target:
 def sample(
     key: KeyLike, kernel: Kernel, log_density: LogDensity, init: Any, draws: int = 1_000, chains: int = 4, burn_in: int = 1_000
 ) -> Chains:
-    """Draw Markov chains that leave a density as it is; all chains at once.
+    """Draw Markov chains that leave a density as it is; all chains at once, on all of the devices of `with mo.devices(8):`.
 
     Shows progress where the error stream is a terminal. Interrupted (Ctrl-C), it gives what was drawn so far, with a warning. Thin with
     `mcmc.Repeat`. Chains of pieces are joined by `mcmc.joined`.
@@ -80,6 +81,7 @@ def sample(
         check_start(states.log_density)
         pieces = _pieces(burn_in, draws)
     kept: list[Chains] = []
+    states = laid_out(states, states.log_density.shape[0], "chains")
     try:
         for last, info, out, steps in _drawn(key, kernel, target, states, begun, pieces):
             if out is not None:
