@@ -146,7 +146,11 @@ def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | 
 
     # to tell a run apart takes a while: most are over before
     there = any(path.parent.glob(f"{glob.escape(stem)}*{ENDING}"))
-    found = _read(named()) if there else []
+    found = _read(named()) if hosts.one_of_all(there) else []
+    steps = len(found) and int(found[0].last.step)
+    if hosts.one_of_all(steps != hosts.agreed(steps)):
+        checks.refuse(f"{path.parent}", "what was kept of the run on every machine", "other files on another one",
+                      "Give --out a folder that all of them share.", FileError)  # fmt: skip
     yield from found
     since = time.monotonic()
 
