@@ -166,7 +166,7 @@ def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | 
             interruption.keeps(label(file.parent))
 
     with interruption.saving():
-        for part in map(hosts.gathered, further(found[-1] if found else None)):
+        for part in map(hosts.brought_together, further(found[-1] if found else None)):
             jax.block_until_ready(part)
             yield part
             found[-1:] = [replace(one, last=None) for one in found[-1:]] + [part]

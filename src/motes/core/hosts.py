@@ -71,9 +71,11 @@ def _of_orte(told: Mapping[str, str]) -> str:
     """From such as 1531576320.0;tcp://10.96.0.1,10.148.0.1:34911 or ...;tcp6://[fe80::1,2620::2]:43370."""
     job, _, uri = told["OMPI_MCA_orte_hnp_uri"].partition(".")
     four, six = re.search(r"tcp://([^,:]+)", uri), re.search(r"tcp6://\[([^,\]]+)", uri)
-    host = four[1] if four else f"[{six[1]}]" if six else ""
+    if four is None and six is None:
+        raise ValueError("OMPI_MCA_orte_hnp_uri")
+    host = four[1] if four else f"[{six[1]}]"  # type: ignore[index]
     # numbers of jobs are multiples of 4 096
-    return f"{_named(host)}:{_port(int(job) // len(PORTS))}"
+    return f"{host}:{_port(int(job) // len(PORTS))}"
 
 
 def _of_prte(told: Mapping[str, str]) -> str:
@@ -90,12 +92,6 @@ def _of_slurm(told: Mapping[str, str]) -> str:
     if found is None:
         raise ValueError("SLURM_STEP_NODELIST")
     return f"{found[1]}{found[2] or ''}:{_port(int(told['SLURM_JOB_ID']) + APART * int(told['SLURM_STEP_ID']))}"
-
-
-def _named(host: str) -> str:
-    if not host:
-        raise ValueError("host")
-    return host
 
 
 def _port(number: int) -> int:
@@ -132,7 +128,7 @@ def launched(told: Mapping[str, str]) -> Joined:
     missing = [name for name in (one.count, one.number, *one.needed) if name not in told]
     if missing:
         checks.refuse("join", f"all variables of {one.name}", f"none by the name of {' and '.join(missing)}", f"Start it by: {one.start}.")
-    count, number = (_whole(name, told[name]) for name in (one.count, one.number))
+    count, number = (_natural(name, told[name]) for name in (one.count, one.number))
     try:
         coordinator = one.coordinator(told)
     except (ValueError, IndexError):
@@ -141,7 +137,7 @@ def launched(told: Mapping[str, str]) -> Joined:
     return _checked(Joined(one.name, coordinator, count, number))
 
 
-def _whole(name: str, text: str) -> int:
+def _natural(name: str, text: str) -> int:
     if not re.fullmatch(r"\d{1,9}", text):
         checks.refuse(f"join: {name}", "a whole number", repr(text[:80]))
     return int(text)
@@ -236,19 +232,19 @@ def one_of_all(said: bool) -> bool:
     return bool(np.any(multihost_utils.process_allgather(np.asarray(said))))
 
 
-def gathered(tree: Any) -> Any:
+def brought_together(tree: Any) -> Any:
     """Return arrays with the parts that other processes hold; all processes ask."""
     if not together():
         return tree
     from jax.experimental import multihost_utils
 
-    def whole(leaf: Any) -> Any:
+    def complete(leaf: Any) -> Any:
         if not isinstance(leaf, jax.Array) or leaf.is_fully_addressable:
             return leaf
         if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-            return jax.random.wrap_key_data(whole(jax.random.key_data(leaf)), impl=jax.random.key_impl(leaf))
+            return jax.random.wrap_key_data(complete(jax.random.key_data(leaf)), impl=jax.random.key_impl(leaf))
         if leaf.is_fully_replicated:
             return np.asarray(leaf.addressable_data(0))
         return multihost_utils.process_allgather(leaf, tiled=True)
 
-    return jax.tree.map(whole, tree)
+    return jax.tree.map(complete, tree)
