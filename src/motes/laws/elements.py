@@ -65,11 +65,11 @@ class Form:
 
     def cut(self, law: Any, elements: int) -> Any:
         """Cut a law into elements."""
-        return self.each(lambda lane: lane.reshape(*lane.shape[:-1], elements, -1), law)
+        return self.each(lambda lane: lane.reshape(*lane.shape[:-1], elements, lane.shape[-1] // elements), law)
 
     def uncut(self, law: Any) -> Any:
         """Undo `cut`."""
-        return self.each(lambda lane: lane.reshape(*lane.shape[:-2], -1), law)
+        return self.each(_side_by_side, law)
 
     def axes(self, rest: int | None) -> Any:
         """Say to `vmap` where a cut law has the axis of elements, and where the arrays without particles have it."""
@@ -102,6 +102,10 @@ class Form:
         # arrays without particles are the same for all elements
         lanes, rest = self.arrays(after)
         return self.law(lanes, [leaf[0] for leaf in rest]), found
+
+
+def _side_by_side(lane: jax.Array) -> jax.Array:
+    return lane.reshape(*lane.shape[:-2], lane.shape[-2] * lane.shape[-1])
 
 
 def row(lane: jax.Array, k: jax.Array) -> jax.Array:

@@ -43,7 +43,8 @@ def allotted(masses: jax.Array, u: jax.Array, n: int) -> Shares:
     fractions = jnp.cumsum(size - floors)
     before = fractions - (size - floors)
     carried = jnp.floor(before)
-    whole = (jnp.cumsum(floors) - floors).astype(jnp.int32) + carried.astype(jnp.int32)
+    floors = floors.astype(jnp.int32)
+    whole = jnp.cumsum(floors) - floors + carried.astype(jnp.int32)
     part = before - carried
     start = jnp.clip(whole + jnp.ceil(part - u).astype(jnp.int32), 0, n)
     # sums of rounded numbers must not go down, and the last child is the n-th

@@ -108,7 +108,7 @@ class OwnNumber(Exchange):
     def _spread(self, columns: jax.Array, size: int) -> jax.Array:
         """Return an array `(..., size)` that has columns at the places that go."""
         shape = columns.shape
-        return jnp.broadcast_to(columns[..., None], (*shape, self.stride)).reshape(*shape[:-1], -1)[..., :size]
+        return jnp.broadcast_to(columns[..., None], (*shape, self.stride)).reshape(*shape[:-1], shape[-1] * self.stride)[..., :size]
 
 
 def _stride(name: str, share: Any) -> int:
@@ -174,7 +174,7 @@ class Butterfly(OwnNumber):
 
     After log2 K steps every element has heard of all others, where a ring takes K; messages go further.
 
-    Source: Heine, Whiteley, Cemgil 2020, Parallelising particle filters with butterfly interactions.
+    Source: Heine, Whiteley, Cemgil 2020, Parallelizing particle filters with butterfly interactions.
 
     Example:
         >>> filter = mo.Distributed(mo.ParticleFilter(n=1024), elements=4, exchange=mo.Butterfly(0.25))
