@@ -22,7 +22,7 @@ from motes.filters.alarm import Innovation
 from motes.filters.info import Info, info_of, with_innovation
 from motes.filters.interface import Filter, Guide, TwoStageFilter
 from motes.filters.wrapper import Around
-from motes.laws.elements import Form, Sums, added, in_elements, log_sum, masses, one_by_one, row, within
+from motes.laws.elements import Form, Sums, added, in_elements, log_sum, masses, one_by_one, row, normalized_within
 from motes.laws.observed import is_nothing
 from motes.native import blocks
 from motes.resampling.exchange import Exchange, Proportional
@@ -156,7 +156,7 @@ class Distributed(Around, TwoStageFilter):
             log_mass = None
             if not self.filter.resamples_first:
                 log_mass = masses(law.log_weights).log
-                law = replace(law, log_weights=jax.lax.optimization_barrier(within(law.log_weights, log_mass)))
+                law = replace(law, log_weights=jax.lax.optimization_barrier(normalized_within(law.log_weights, log_mass)))
             keys = crew.own(random.step_keys(key, self.elements))
             stage = lambda key, law: self._each.correct(key, model, law, y, u, t)  # noqa: E731
             at_once = self._at_once(law)
@@ -247,7 +247,7 @@ def _finished(  # noqa: PLR0913 (what a stage made, and from what)
     if info is not None:
         info = replace(info, log_evidence=info.log_evidence if log_mass is None else info.log_evidence + log_mass)
         mine = info.log_evidence
-        info, total = _together(crew.gathered(_Numbers(prior, *(getattr(info, name) for name in _Numbers._fields[1:]))))
+        info, total = _of_all(crew.gathered(_Numbers(prior, *(getattr(info, name) for name in _Numbers._fields[1:]))))
         log_mass = mine - total
     if log_mass is not None:
         law = replace(law, log_weights=added(law.log_weights, log_mass))
@@ -269,7 +269,7 @@ class _Numbers(NamedTuple):
     freedom: jax.Array
 
 
-def _together(of_elements: _Numbers) -> tuple[Info, jax.Array]:
+def _of_all(of_elements: _Numbers) -> tuple[Info, jax.Array]:
     """Return the record of the step from what all elements say `(K,)`, evidences times masses, and the log of the sum of these.
 
     Squared distances of the measurement, and their degrees of freedom, are averaged with the masses of before.

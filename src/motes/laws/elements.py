@@ -185,7 +185,7 @@ def log_sum(logs: jax.Array) -> jax.Array:
     return anchor + jnp.log(jnp.sum(jnp.exp(logs - anchor)))
 
 
-def within(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
+def normalized_within(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
     """Return log weights `(e, m)` normalized within each element of the given log mass; equal ones in an element without mass."""
     equal = -jnp.log(jnp.asarray(log_weights.shape[-1], log_weights.dtype))
     return jnp.where(jnp.isfinite(masses)[:, None], log_weights - masses[:, None], equal)
@@ -202,7 +202,7 @@ def moments_of(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, ja
 
     def moments(k: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         log_mass = log_sum(log_weights[k])
-        return jnp.exp(log_mass), *weighted_moments(within(log_weights[k][None], log_mass[None])[0], row(points, k))
+        return jnp.exp(log_mass), *weighted_moments(normalized_within(log_weights[k][None], log_mass[None])[0], row(points, k))
 
     return one_by_one(moments, log_weights.shape[0])
 
@@ -239,7 +239,7 @@ class InElements(Law):
         def moments(k: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
             own = form.each(lambda lane: row(lane, k), law)
             log_mass = log_sum(own.log_weights)
-            own = replace(own, log_weights=within(own.log_weights[None], log_mass[None])[0])
+            own = replace(own, log_weights=normalized_within(own.log_weights[None], log_mass[None])[0])
             return jnp.exp(log_mass), own.mean(), own.cov()
 
         return one_by_one(moments, law.log_weights.shape[0])

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from motes.core import engine
 from motes.core.devices import Crew
-from motes.laws.elements import one_by_one, within
+from motes.laws.elements import one_by_one, normalized_within
 from motes.resampling.schemes import boundaries, last_positive
 
 WIDTH = 16
@@ -79,7 +79,7 @@ def ends(log_weights: jax.Array, numbers: jax.Array, whole: jax.Array) -> jax.Ar
     def one(k: jax.Array) -> jax.Array:
         log_mass, size, part = numbers[k]
         before, start, end = whole[k]
-        own = within(log_weights[k][None], log_mass[None])[0]
+        own = normalized_within(log_weights[k][None], log_mass[None])[0]
         edge = boundaries(own, size)
         found = before + edge.whole + jnp.ceil(edge.part + part).astype(jnp.int32)
         return jnp.where(jnp.arange(found.shape[0]) >= last_positive(jnp.exp(own)), end, jnp.clip(found, start, end))

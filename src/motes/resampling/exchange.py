@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from motes.core import checks, random
 from motes.core.devices import Crew
 from motes.core.record import record, replace, static
-from motes.laws.elements import Form, Sums, masses, within
+from motes.laws.elements import Form, Sums, masses, normalized_within
 from motes.resampling.allotment import Children, allotted, as_wide, delivered, ends_of, strip_width
 from motes.resampling.policy import Policy
 from motes.resampling.schemes import Given
@@ -103,7 +103,7 @@ class OwnNumber(Exchange):
             *lanes, origin = (jnp.where(goes, self._spread(new, size), lane) for new, lane in zip(columns, (*lanes, origin), strict=True))
             cut = form.law(lanes, rest)
         log_mass = masses(cut.log_weights).log
-        return Handed(replace(cut, log_weights=within(cut.log_weights, log_mass)), None, log_mass, origin)
+        return Handed(replace(cut, log_weights=normalized_within(cut.log_weights, log_mass)), None, log_mass, origin)
 
     def _spread(self, columns: jax.Array, size: int) -> jax.Array:
         """Return an array `(..., size)` that has columns at the places that go."""
