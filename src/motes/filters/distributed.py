@@ -22,7 +22,7 @@ from motes.filters.alarm import Innovation
 from motes.filters.info import Info, info_of, with_innovation
 from motes.filters.interface import Filter, Guide, TwoStageFilter
 from motes.filters.wrapper import Around
-from motes.laws.elements import Form, Sums, added, in_elements, log_sum, masses, one_by_one, row, normalized_within
+from motes.laws.elements import Form, Sums, added, in_elements, log_sum, masses, normalized_within, one_by_one, row
 from motes.laws.observed import is_nothing
 from motes.native import blocks
 from motes.resampling.exchange import Exchange, Proportional

@@ -192,7 +192,7 @@ def normalized_within(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
 
 
 def added(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
-    """Undo `within` for log weights `(e, m)` and the log masses `(e,)` that the elements are to have."""
+    """Undo `normalized_within` for log weights `(e, m)` and the log masses `(e,)` that the elements are to have."""
     return jnp.where(jnp.isfinite(masses)[:, None], log_weights + masses[:, None], -jnp.inf)
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from motes.core import engine
 from motes.core.devices import Crew
-from motes.laws.elements import one_by_one, normalized_within
+from motes.laws.elements import normalized_within, one_by_one
 from motes.resampling.schemes import boundaries, last_positive
 
 WIDTH = 16
