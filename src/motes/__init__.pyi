@@ -23,8 +23,8 @@ from .core.devices import devices as devices
 from .core.hosts import join as join
 from .core.record import record as record
 from .core.record import replace as replace
-from .costs.complexity import sampling_period as sampling_period
 from .costs.measure import fit_step_time as fit_step_time
+from .costs.periods import sampling_period as sampling_period
 from .diagnostics.diagnose import diagnose as diagnose
 from .filters import keep as keep
 from .filters.adapting import Adapting as Adapting

@@ -23,7 +23,7 @@ MAPS = "LandmarkFilter"
 SKELETON = Path(__file__).parents[2] / "docs" / "skeleton_filter.py"
 
 PARAMETERS = {"n": 300, "mixands": 8, "lower": (-14.0, -12.0), "upper": (14.0, 12.0), "nodes": (33, 31),
-         "function": lambda before, after, u, t: after, "size": 2, "rule": Cubature(), "filter": ParticleFilter(n=300),
+         "function": lambda before, after, u, t: after, "size": 2, "rule": Cubature(), "filter": ParticleFilter(n=304),
          "fresh": lambda key, y, u, t: 1.5 * jax.random.normal(key, (2,)), "memory": jnp.zeros((), jnp.int32),
          "learn": lambda key, memory, law, y, u, t: memory + 1, "sizes": (100, 300), "widths": (0.5, 0.5)}  # fmt: skip
 """Values for parameters that have no default; a new filter whose parameter is not listed here says so by failing."""
@@ -80,7 +80,8 @@ def first_of_kinds(filters, kind=kind_of):
 
 
 SHARED = {"EnsembleKalmanFilter", "GaussianFilter", "GaussianParticleFilter", "GaussianSumParticleFilter", "CostReferenceParticleFilter",
-          "InteractingMultipleModel", "JumpMarkovFilter", "AuxiliaryParticleFilter", "PaRIS", "Adapting", "AdaptiveSize"}  # fmt: skip
+          "InteractingMultipleModel", "JumpMarkovFilter", "AuxiliaryParticleFilter", "PaRIS", "Adapting", "AdaptiveSize",
+          "Distributed"}  # fmt: skip
 
 
 def is_variant(name):

@@ -40,7 +40,7 @@ ONE_STATE = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,), "size": 1}
 def questions():
     """Each rule with each filter in both precisions, marked with when it is asked, and of which engines."""
     for rule in RULES:
-        name_of_rule, day = rule.ask.__name__, BY_DAY.get(rule.ask.__name__, CLASSES - {"Adapting", "AdaptiveSize"})
+        name_of_rule, day = rule.ask.__name__, BY_DAY.get(rule.ask.__name__, CLASSES - {"Adapting", "AdaptiveSize", "Distributed"})
         for name, filter in FILTERS.items():
             for precision in ("float32", "float64"):
                 # that laws have their form in both is a rule of its own

@@ -24,6 +24,7 @@ ELSEWHERE = {
     "montecarlo/annealing.py": "over temperatures",
     "montecarlo/chain.py": "over the steps of a Markov chain, which has no time",
     "montecarlo/tempering.py": "bisection",
+    "resampling/allotment.py": "over the blocks of devices, which go round",
     "resampling/differentiable.py": "over the rounds of Sinkhorn's algorithm",
     "resampling/schemes.py": "over particles",
     "resampling/slotwise.py": "over the steps of a chain within one resampling",

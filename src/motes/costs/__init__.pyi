@@ -1,8 +1,5 @@
 from .calibration import Calibration as Calibration
 from .calibration import calibrate as calibrate
-from .complexity import elements_for_period as elements_for_period
-from .complexity import particles_for_period as particles_for_period
-from .complexity import sampling_period as sampling_period
 from .flops import Costs as Costs
 from .flops import complexity as complexity
 from .flops import equivalent_particles as equivalent_particles
@@ -10,3 +7,6 @@ from .flops import particle_ratio as particle_ratio
 from .measure import StepTime as StepTime
 from .measure import fit_step_time as fit_step_time
 from .measure import seconds_per_step as seconds_per_step
+from .periods import elements_for_period as elements_for_period
+from .periods import particles_for_period as particles_for_period
+from .periods import sampling_period as sampling_period

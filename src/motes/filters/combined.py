@@ -1,4 +1,4 @@
-"""Several runs as one: filters that shared the load, or filters of several models (Bolic, Djuric, Hong 2005; Hoeting et al. 1999)."""
+"""Several runs as one: filters that shared the load, or filters of several models (Bolic, Djuric, Hong 2005)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -8,7 +8,7 @@ What is added over elements is added in their order, wherever they are: results 
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from motes.filters.alarm import Innovation
 from motes.filters.info import Info, info_of, with_innovation
 from motes.filters.interface import Filter, Guide, TwoStageFilter
 from motes.filters.wrapper import Around
-from motes.laws.elements import Form, Sums, added, in_elements, log_sum, masses, one_by_one, row, within
+from motes.laws.elements import Form, Sums, added, in_elements, log_sum, masses, normalized_within, one_by_one, row
 from motes.laws.observed import is_nothing
 from motes.native import blocks
 from motes.resampling.exchange import Exchange, Proportional
@@ -89,7 +89,8 @@ class Distributed(Around, TwoStageFilter):
         name, filter = type(self.exchange).__name__, self.filter
         instead = "Use mo.Ring(0.1), whose elements resample themselves."
         if not filter.resamples_first:
-            checks.refuse("Distributed filter", f"one that resamples by scheme and policy, for {name}", repr(filter)[:100], instead)
+            given = f"{type(filter).__name__}, which looks at the weights otherwise, too"
+            checks.refuse("Distributed filter", f"one that resamples by scheme and policy, for {name}", given, instead)
         scheme, policy = (getattr(filter, field) for field in ("scheme", "policy"))
         if type(scheme) is not Systematic:
             checks.refuse("Distributed filter scheme", f"Systematic, for {name} (one comb for all)", type(scheme).__name__, instead)
@@ -155,7 +156,7 @@ class Distributed(Around, TwoStageFilter):
             log_mass = None
             if not self.filter.resamples_first:
                 log_mass = masses(law.log_weights).log
-                law = replace(law, log_weights=jax.lax.optimization_barrier(within(law.log_weights, log_mass)))
+                law = replace(law, log_weights=jax.lax.optimization_barrier(normalized_within(law.log_weights, log_mass)))
             keys = crew.own(random.step_keys(key, self.elements))
             stage = lambda key, law: self._each.correct(key, model, law, y, u, t)  # noqa: E731
             at_once = self._at_once(law)
@@ -246,7 +247,7 @@ def _finished(  # noqa: PLR0913 (what a stage made, and from what)
     if info is not None:
         info = replace(info, log_evidence=info.log_evidence if log_mass is None else info.log_evidence + log_mass)
         mine = info.log_evidence
-        info, total = _together(*crew.gathered((info, prior)))
+        info, total = _of_all(crew.gathered(_Numbers(prior, *(getattr(info, name) for name in _Numbers._fields[1:]))))
         log_mass = mine - total
     if log_mass is not None:
         law = replace(law, log_weights=added(law.log_weights, log_mass))
@@ -254,10 +255,24 @@ def _finished(  # noqa: PLR0913 (what a stage made, and from what)
     return lanes, (rest, info)
 
 
-def _together(of_elements: Info, prior: jax.Array) -> tuple[Info, jax.Array]:
-    """Return the record of the step from those of all elements `(K,)`, evidences times masses, and the log of the sum of these.
+class _Numbers(NamedTuple):
+    """What is gathered of a step: log masses of before, up to a constant, and what the record of the step of an element says."""
 
-    Squared distances of the measurement, and their degrees of freedom, are averaged with the masses of before, `prior` in logs.
+    prior: jax.Array
+    log_evidence: jax.Array
+    ess: jax.Array
+    invalid: jax.Array
+    lowest: jax.Array
+    highest: jax.Array
+    shortfall: jax.Array
+    nis: jax.Array
+    freedom: jax.Array
+
+
+def _of_all(of_elements: _Numbers) -> tuple[Info, jax.Array]:
+    """Return the record of the step from what all elements say `(K,)`, evidences times masses, and the log of the sum of these.
+
+    Squared distances of the measurement, and their degrees of freedom, are averaged with the masses of before.
     """
     joint = of_elements.log_evidence
     total = log_sum(jnp.where(jnp.isnan(joint), -jnp.inf, joint))
@@ -266,7 +281,7 @@ def _together(of_elements: Info, prior: jax.Array) -> tuple[Info, jax.Array]:
     found = [total, 1 / squares, jnp.sum(of_elements.invalid), jnp.min(of_elements.lowest), jnp.max(of_elements.highest),
              jnp.min(of_elements.shortfall)]  # fmt: skip
     info = info_of(jnp.stack([one.astype(total.dtype) for one in found]))
-    weights = jnp.where(of_elements.freedom > 0, jnp.exp(prior - jnp.max(prior)), 0)
+    weights = jnp.where(of_elements.freedom > 0, jnp.exp(of_elements.prior - jnp.max(of_elements.prior)), 0)
     known = jnp.sum(weights)
     square, freedom = (jnp.sum(jnp.where(weights > 0, weights * one, 0)) / jnp.where(known > 0, known, 1)
                        for one in (of_elements.nis, of_elements.freedom))  # fmt: skip

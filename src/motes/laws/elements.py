@@ -65,11 +65,11 @@ class Form:
 
     def cut(self, law: Any, elements: int) -> Any:
         """Cut a law into elements."""
-        return self.each(lambda lane: lane.reshape(*lane.shape[:-1], elements, -1), law)
+        return self.each(lambda lane: lane.reshape(*lane.shape[:-1], elements, lane.shape[-1] // elements), law)
 
     def uncut(self, law: Any) -> Any:
         """Undo `cut`."""
-        return self.each(lambda lane: lane.reshape(*lane.shape[:-2], -1), law)
+        return self.each(_side_by_side, law)
 
     def axes(self, rest: int | None) -> Any:
         """Say to `vmap` where a cut law has the axis of elements, and where the arrays without particles have it."""
@@ -102,6 +102,10 @@ class Form:
         # arrays without particles are the same for all elements
         lanes, rest = self.arrays(after)
         return self.law(lanes, [leaf[0] for leaf in rest]), found
+
+
+def _side_by_side(lane: jax.Array) -> jax.Array:
+    return lane.reshape(*lane.shape[:-2], lane.shape[-2] * lane.shape[-1])
 
 
 def row(lane: jax.Array, k: jax.Array) -> jax.Array:
@@ -181,14 +185,14 @@ def log_sum(logs: jax.Array) -> jax.Array:
     return anchor + jnp.log(jnp.sum(jnp.exp(logs - anchor)))
 
 
-def within(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
+def normalized_within(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
     """Return log weights `(e, m)` normalized within each element of the given log mass; equal ones in an element without mass."""
     equal = -jnp.log(jnp.asarray(log_weights.shape[-1], log_weights.dtype))
     return jnp.where(jnp.isfinite(masses)[:, None], log_weights - masses[:, None], equal)
 
 
 def added(log_weights: jax.Array, masses: jax.Array) -> jax.Array:
-    """Undo `within` for log weights `(e, m)` and the log masses `(e,)` that the elements are to have."""
+    """Undo `normalized_within` for log weights `(e, m)` and the log masses `(e,)` that the elements are to have."""
     return jnp.where(jnp.isfinite(masses)[:, None], log_weights + masses[:, None], -jnp.inf)
 
 
@@ -198,7 +202,7 @@ def moments_of(log_weights: jax.Array, points: jax.Array) -> tuple[jax.Array, ja
 
     def moments(k: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         log_mass = log_sum(log_weights[k])
-        return jnp.exp(log_mass), *weighted_moments(within(log_weights[k][None], log_mass[None])[0], row(points, k))
+        return jnp.exp(log_mass), *weighted_moments(normalized_within(log_weights[k][None], log_mass[None])[0], row(points, k))
 
     return one_by_one(moments, log_weights.shape[0])
 
@@ -235,7 +239,7 @@ class InElements(Law):
         def moments(k: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
             own = form.each(lambda lane: row(lane, k), law)
             log_mass = log_sum(own.log_weights)
-            own = replace(own, log_weights=within(own.log_weights[None], log_mass[None])[0])
+            own = replace(own, log_weights=normalized_within(own.log_weights[None], log_mass[None])[0])
             return jnp.exp(log_mass), own.mean(), own.cov()
 
         return one_by_one(moments, law.log_weights.shape[0])

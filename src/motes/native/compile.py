@@ -214,13 +214,13 @@ def call_on_particles(
         for array, own, lane in zip(given, batched, lanes, strict=True):
             if lane and own:
                 array = jnp.moveaxis(array, 0, -2)
-                array = array.reshape(*array.shape[:-2], -1)
+                array = array.reshape(*array.shape[:-2], count * array.shape[-1])
             handed.append(array if lane or own else array[None])
         wanted = [jax.ShapeDtypeStruct((*one.shape[:-1], count * one.shape[-1]) if lane else (count, *one.shape), one.dtype)
                   for one, lane in zip(results, of_particles[1], strict=True)]  # fmt: skip
         own = sum(1 << i for i, one in enumerate(batched) if one)
         found = call_kernel(source, symbol, wanted, *handed, batched=np.int64(own), elements=np.int64(count))
-        return [jnp.moveaxis(one.reshape(*one.shape[:-1], count, -1), -2, 0) if lane else one
+        return [jnp.moveaxis(one.reshape(*one.shape[:-1], count, one.shape[-1] // count), -2, 0) if lane else one
                 for one, lane in zip(found, of_particles[1], strict=True)], [True] * len(found)  # fmt: skip
 
     return call(*operands)

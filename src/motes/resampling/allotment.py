@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from motes.core import engine
 from motes.core.devices import Crew
-from motes.laws.elements import one_by_one, within
+from motes.laws.elements import normalized_within, one_by_one
 from motes.resampling.schemes import boundaries, last_positive
 
 WIDTH = 16
@@ -43,7 +43,8 @@ def allotted(masses: jax.Array, u: jax.Array, n: int) -> Shares:
     fractions = jnp.cumsum(size - floors)
     before = fractions - (size - floors)
     carried = jnp.floor(before)
-    whole = (jnp.cumsum(floors) - floors).astype(jnp.int32) + carried.astype(jnp.int32)
+    floors = floors.astype(jnp.int32)
+    whole = jnp.cumsum(floors) - floors + carried.astype(jnp.int32)
     part = before - carried
     start = jnp.clip(whole + jnp.ceil(part - u).astype(jnp.int32), 0, n)
     # sums of rounded numbers must not go down, and the last child is the n-th
@@ -78,7 +79,7 @@ def ends(log_weights: jax.Array, numbers: jax.Array, whole: jax.Array) -> jax.Ar
     def one(k: jax.Array) -> jax.Array:
         log_mass, size, part = numbers[k]
         before, start, end = whole[k]
-        own = within(log_weights[k][None], log_mass[None])[0]
+        own = normalized_within(log_weights[k][None], log_mass[None])[0]
         edge = boundaries(own, size)
         found = before + edge.whole + jnp.ceil(edge.part + part).astype(jnp.int32)
         return jnp.where(jnp.arange(found.shape[0]) >= last_positive(jnp.exp(own)), end, jnp.clip(found, start, end))

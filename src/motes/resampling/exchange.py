@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from motes.core import checks, random
 from motes.core.devices import Crew
 from motes.core.record import record, replace, static
-from motes.laws.elements import Form, Sums, masses, within
+from motes.laws.elements import Form, Sums, masses, normalized_within
 from motes.resampling.allotment import Children, allotted, as_wide, delivered, ends_of, strip_width
 from motes.resampling.policy import Policy
 from motes.resampling.schemes import Given
@@ -103,12 +103,12 @@ class OwnNumber(Exchange):
             *lanes, origin = (jnp.where(goes, self._spread(new, size), lane) for new, lane in zip(columns, (*lanes, origin), strict=True))
             cut = form.law(lanes, rest)
         log_mass = masses(cut.log_weights).log
-        return Handed(replace(cut, log_weights=within(cut.log_weights, log_mass)), None, log_mass, origin)
+        return Handed(replace(cut, log_weights=normalized_within(cut.log_weights, log_mass)), None, log_mass, origin)
 
     def _spread(self, columns: jax.Array, size: int) -> jax.Array:
         """Return an array `(..., size)` that has columns at the places that go."""
         shape = columns.shape
-        return jnp.broadcast_to(columns[..., None], (*shape, self.stride)).reshape(*shape[:-1], -1)[..., :size]
+        return jnp.broadcast_to(columns[..., None], (*shape, self.stride)).reshape(*shape[:-1], shape[-1] * self.stride)[..., :size]
 
 
 def _stride(name: str, share: Any) -> int:
@@ -174,7 +174,7 @@ class Butterfly(OwnNumber):
 
     After log2 K steps every element has heard of all others, where a ring takes K; messages go further.
 
-    Source: Heine, Whiteley, Cemgil 2020, Parallelising particle filters with butterfly interactions.
+    Source: Heine, Whiteley, Cemgil 2020, Parallelizing particle filters with butterfly interactions.
 
     Example:
         >>> filter = mo.Distributed(mo.ParticleFilter(n=1024), elements=4, exchange=mo.Butterfly(0.25))
