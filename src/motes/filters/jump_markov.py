@@ -29,6 +29,7 @@ from motes.gaussian.taylor import Taylor
 from motes.laws.gaussian import Gaussian
 from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import log_probabilities
+from motes.models.certain import certain
 from motes.models.jump_markov import JumpMarkovModel
 from motes.resampling import gradients
 from motes.resampling.reduction import Reduction, reduced
@@ -101,8 +102,9 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         """
         model = as_jump_markov("JumpMarkovFilter", model)
         self.rule.check_size("JumpMarkovFilter", model.size)
-        self._drawn_states(model)
-        return model
+        if self._drawn_states(model) or self.rule != Taylor():
+            return model
+        return replace(model, certain=certain(model.models, model.noiseless, model.shared, u))
 
     def _drawn_states(self, model: JumpMarkovModel) -> tuple[int, ...]:
         return tuple(sorted({model.index(state) for state in self.sampled}))
