@@ -55,7 +55,8 @@ def certain(models: Sequence[StateSpaceModel], candidates: Sequence[int], shared
         moved |= dependence(lambda part, x, u, t: part.mean(x, u, t), given, kinds).uses[:, :size]
         if callable(model.dynamics.Q):  # type: ignore[attr-defined]
             # what is zero whatever the variables are has no use for a factor
-            scaled = dependence(lambda part, x, u, t, s: s * part.cov(x, u, t), (*given, jax.ShapeDtypeStruct((), x.dtype)), (*kinds, "whole"))
+            factor = jax.ShapeDtypeStruct((), x.dtype)
+            scaled = dependence(lambda part, x, u, t, s: s * part.cov(x, u, t), (*given, factor), (*kinds, "whole"))
             noisy |= scaled.uses[..., -1].any(axis=0)
     kept = np.isin(np.arange(size), candidates) & ~noisy
     while (wrong := kept & moved[:, ~kept].any(axis=1)).any():
