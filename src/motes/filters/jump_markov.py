@@ -2,7 +2,7 @@
 
 A particle carries a path of modes, drawn values of the states named, and the Gaussian of the other states given those.
 
-1. Merge hypotheses that agree in their last modes, where that is asked for (generalized pseudo-Bayes: Ackerson, Fu 1970; Tugnait 1982).
+1. Merge hypotheses that agree in their last modes, where that is asked for (generalized pseudo-Bayes: Tugnait 1982).
    Bring the hypotheses of the step before down to n particles, unbiased: without copies (`resampling/reduction.py`), or, where states are
    drawn and few hypotheses have most of the weight, with copies, which then part by their draws.
 2. Predict: each particle goes on in all m modes, by the extended Kalman filter of each, which gives n m hypotheses weighted by the
@@ -45,7 +45,8 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     """Rao-Blackwellized jump-Markov filter; the state is a `ModeMixture` of n m hypotheses, which `info.ess` counts.
 
     Source: Doucet, Gordon, Krishnamurthy 2001, Particle filters for state estimation of jump Markov linear systems; Fearnhead, Clifford
-    2003, On-line inference for hidden Markov models via particle filters.
+    2003, On-line inference for hidden Markov models via particle filters; Tugnait 1982, Detection and estimation for abruptly changing
+    systems.
 
     Example:
         >>> model = mo.textbook.maneuvers()
