@@ -212,8 +212,7 @@ static inline __attribute__((always_inline)) float remainder(float x, float y) {
   return (size == (double)INF) & (__builtin_fabsf(x) < INF) ? x : __builtin_copysignf((float)rest, x);
 }
 
-// inverse error function over its argument, for w = -log(1 - x^2) and w - 2.5: the two pieces of Giles (2010)
-// the inverse error function over its argument x, from w = -log(1 - x^2): where w < 5, from w - 2.5; and from there on
+// the inverse error function over its argument x, from w = -log(1 - x^2), by the two pieces of Giles (2010): where w < 5, from w - 2.5
 static inline __attribute__((always_inline)) float erf_inv_slope_near(float near) {
   return polynomial(near, 2.81022636e-08f, 3.43273939e-07f, -3.5233877e-06f, -4.39150654e-06f, 0.00021858087f, -0.00125372503f,
                     -0.00417768164f, 0.246640727f, 1.50140941f);
