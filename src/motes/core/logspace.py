@@ -1,11 +1,10 @@
 """Weights and sums in log space."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from motes.core import engine
+from motes.core import checks, engine
 from motes.core.record import record
 
 
@@ -77,10 +76,7 @@ class RunningSum:
 
     def value(self) -> jax.Array:
         """Return the sum."""
-        return _difference(self.total, self.missed)
-
-
-@partial(jax.jit, inline=True)
-def _difference(total: jax.Array, missed: jax.Array) -> jax.Array:
-    # outside of programs an operator takes longer to start than a program
-    return total - missed
+        if checks.is_concrete((self.total, self.missed)):
+            # to hand one operation over to JAX, and to wait for it, takes as long as all else that a run of few particles does beside it
+            return jnp.asarray(np.subtract(self.total, self.missed))
+        return self.total - self.missed

@@ -1,7 +1,7 @@
 """A filter and a model as compiled programs take them: their arrays, and what decides which program it is.
 
-What that is was worked out once for two objects that are still there and of which nothing can have changed but what the user's functions
-read: that is asked each time.
+To find that out takes as long as a short run. It is remembered for two objects, as long as they live, of which nothing can change but what
+the user's functions read: that is asked each time.
 """
 
 import weakref
@@ -116,12 +116,13 @@ def pair(filter: Filter, model: Model, u: Inputs, y: Any, alike: bool = True) ->
     if found.lasts:
         # numbers of Python would be made arrays at each call
         found.parts = [jnp.asarray(part) for part in found.parts]
-        while len(_known) >= _MOST:
-            _known.pop(next(iter(_known)), None)
+        for oldest in list(_known)[: len(_known) + 1 - _MOST]:
+            _known.pop(oldest, None)
         _known[place] = (*(weakref.ref(one, lambda gone: _forget(place, gone)) for one in (filter, model)), found)  # type: ignore[assignment]
     return found
 
 
 def _forget(place: tuple[int, int], gone: Any) -> None:
-    if place in _known and any(one is gone for one in _known[place][:2]):
-        del _known[place]
+    there = _known.get(place)
+    if there is not None and any(one is gone for one in there[:2]):
+        _known.pop(place, None)
