@@ -85,6 +85,7 @@ def run(
         if first is not None:
             _check_end(first, filter, model, u, y)
         raise
+    found.last.evidence.remember(found.evidence)
     history = History(found.kept, found.info, found.last, found.start, model.names, known.label, engine=found.engine,
                       circular=model.circular, rounding=found.rounding, **filter.traits)  # fmt: skip
     if checks.is_concrete(history.info.collapsed):
@@ -169,6 +170,7 @@ class _Found:
     kept: dict[str, Any]
     info: Info
     last: Carry
+    evidence: jax.Array
     start: jax.Array
     rounding: jax.Array
     engine: str = static()
@@ -201,4 +203,5 @@ def _run(  # noqa: PLR0913 (those of run, and what is known of filter and model)
             last, (of_steps, infos) = loop(step, first, (ys, inputs))
         report.complete(notes, type(filter).__name__)
     seen = filter.seen_inputs(at_step(inputs, 0))
-    return _Found(of_steps, infos, last, start, precision.rounding(model, ys, seen), report.engine_used(notes))
+    evidence = jax.lax.optimization_barrier(last.evidence).value()
+    return _Found(of_steps, infos, last, evidence, start, precision.rounding(model, ys, seen), report.engine_used(notes))
