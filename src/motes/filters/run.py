@@ -88,9 +88,9 @@ def run(
     found.last.evidence.remember(found.evidence)
     history = History(found.kept, found.info, found.last, found.start, model.names, known.label, engine=found.engine,
                       circular=model.circular, rounding=found.rounding, **filter.traits)  # fmt: skip
-    if checks.is_concrete(history.info.collapsed):
-        if filter.on_collapse == "raise":
-            history.raise_on_collapse()
+    if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
+        history.raise_on_collapse()
+    if checks.is_concrete(history.info):
         notices.warn(history, after)
     return history
 
