@@ -82,11 +82,11 @@ def test_bits_are_found_through_unknown_echoes(equalization, rates_of):
 
 @pytest.mark.optimized
 @pytest.mark.night
-@pytest.mark.parametrize(("memory", "most"), [(1.0, 2.0), (0.998, np.inf)])
+@pytest.mark.parametrize(("memory", "most"), [(1.0, 1.4), (0.998, np.inf)])
 def test_blind_equalization_is_between_per_survivor_processing_and_a_known_channel(equalization, memory, most):
     """At 10 and 15 dB, on 600 blocks of 200 symbols: at most so many times the errors of Viterbi's algorithm that knows the channel.
 
-    Measured 1.4 and, with other draws of the filter, 1.4 to 1.7.
+    Measured 1.26 and 1.21; the filter draws nothing, since sixteen paths are all that differ.
     """
     found = equalization["compared"](equalization["simulated"](0, 600, memory), memory, (10, 15))
     for ours, known, survivor in zip(

@@ -2,8 +2,10 @@
 
 import dataclasses
 import functools
+import gc
 import sys
 import types
+import weakref
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +14,9 @@ import pytest
 
 import motes as mo
 from contract.discovery import examples
+from motes.filters import pair as pairs
 from motes.filters import run as running
+from motes.filters.pair import pair
 from motes.models.canonical import canonical
 from motes.tracing import identity
 from motes.tracing.reading import Reading
@@ -202,6 +206,16 @@ def test_a_rebuilt_model_runs_the_new_numbers(name):
         assert np.allclose(mo.simulate(0, built(f), 2)[0][1], gain, atol=0.05)
 
 
+@pytest.mark.parametrize("name", RUN)
+def test_a_model_that_stays_runs_the_new_numbers(name):
+    """What is remembered of a filter and a model does not outlive what its functions read."""
+    f, change = CASES[name]
+    filter, model = mo.UnscentedKalmanFilter(), built(f)
+    for gain in (0.5, 0.5, 0.25, 0.5):
+        change(gain)
+        assert np.allclose(mo.run(0, filter, model, YS).mean[:, 0], [1.0, gain], atol=1e-3)
+
+
 def test_functions_looked_at_once_are_found(monkeypatch):
     """The twin: a reading that sees nothing gives old numbers."""
     f = lambda x, u, t: GAIN * x  # noqa: E731
@@ -218,7 +232,8 @@ def keys(filter, model, monkeypatch, **rest):
         pass
 
     def see(key, *args):
-        raise Seen((jax.tree.structure(args[:2]), args[4]))
+        form, kept = args[0], args[4]
+        raise Seen((form.structure, (form.beside, kept)))
 
     monkeypatch.setattr(running, "_run", see)
     with pytest.raises(Seen) as found:
@@ -263,6 +278,20 @@ def test_what_is_not_traced_beforehand_is_seen(monkeypatch):
             set_gain(gain)
             found.append(keys(mo.ParticleFilter(9), case, monkeypatch, **rest)[1])
         assert found[0] != found[1] and found[0] == found[2]
+
+
+def test_what_is_remembered_of_a_filter_and_a_model():
+    """Nothing where what is read is not known, or where a class of the user's is in it; and nothing that outlives the model."""
+    filter, y = mo.UnscentedKalmanFilter(), jax.ShapeDtypeStruct((1,), jnp.float32)
+
+    def remembered(f=CASES["global"][0], **changes):
+        model = built(f, **changes)
+        return pair(filter, model, None, y) is pair(filter, model, None, y), weakref.ref(model)
+
+    assert [remembered(by_name)[0], remembered(sensor=OwnSensor(lambda x, u, t: x, np.eye(1)))[0]] == [False, False]
+    same, model = remembered()
+    gc.collect()
+    assert same and model() is None and not any(there[1]() is None for there in pairs._known.values())
 
 
 class Target:

@@ -9,6 +9,7 @@ import pytest
 
 import motes as mo
 from motes.core import random
+from motes.filters.pair import pair
 from motes.filters.run import _run
 from motes.tracing.identity import Beside
 
@@ -27,7 +28,8 @@ def turning():
 def test_memory_does_not_grow_with_steps(filter):
     def working(steps, keep):
         ys = jax.ShapeDtypeStruct((steps, 1), jnp.float32)
-        lowered = _run.lower(random.as_key(0), filter, turning(), ys, None, (keep, Beside(filter)), None)
+        known = pair(filter, turning(), None, jax.ShapeDtypeStruct((1,), jnp.float32))
+        lowered = _run.lower(random.as_key(0), known.form, known.parts, ys, None, (keep, Beside(keep)), None)
         return lowered.compile().memory_analysis().temp_size_in_bytes
 
     short, long = working(SHORT, mo.keep.nothing), working(LONG, mo.keep.nothing)

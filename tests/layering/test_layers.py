@@ -13,8 +13,8 @@ RANKS = {
     "montecarlo": 6, "studies": 6, "testing": 6, "planning": 7, "parameters": 7, "plotting": 8, "report": 8, "applications": 9, "cli": 10,
 }  # fmt: skip
 SHARED = {"filters": ("interface", "info", "clouds", "needs", "gated", "gaussian", "look_ahead", "proposals", "sharp", "alarm", "notices",
-                      "precision", "history", "history_files", "keep", "data", "setup", "run", "wrapper", "pieces", "late", "stream_steps",
-                      "marginal_moves"),
+                      "precision", "history", "history_files", "keep", "data", "setup", "pair", "run", "wrapper", "pieces", "late",
+                      "stream_steps", "marginal_moves"),
           "mcmc": ("interface", "chains", "continuing", "convergence", "judgement", "jumps"),
           "montecarlo": ("estimate",), "detect": ("detection",), "parameters": ("posterior", "paths", "augmented")}
 """Files of a room of methods that others of the room may import; the methods themselves may not import each other."""

@@ -11,7 +11,9 @@ from scipy.stats import norm
 
 import motes as mo
 from data import recorded
+from motes.core.record import replace
 from motes.io.tables import read_table
+from motes.laws.mode_mixture import ModeMixture
 from motes.resampling import reduction
 from tiers import each
 
@@ -111,6 +113,59 @@ def test_fewer_particles_than_paths_leave_the_likelihood_unbiased(double):
     assert 0.01 < ratio.std() < 0.5
     assert abs(ratio.mean() - 1) < 4.9 * ratio.std() / np.sqrt(len(ratio))
     assert np.allclose((ratio[:, None] * modes).mean(axis=0), probabilities, atol=0.01)
+
+
+def pseudo_bayes(ys):
+    """Log likelihood, means and mode probabilities of the generalized pseudo-Bayes filter of order two, one Gaussian for each mode."""
+    held, total, found = [(START[j], MEAN[j], COV[j], j) for j in range(3)], 0.0, []
+    for t, y in enumerate(ys):
+        if t:
+            held = [(w * CHAIN[i, j], A[j] @ m, A[j] @ P @ A[j].T + Q[j], j) for w, m, P, i in held for j in range(3)]
+        seen, after = ~np.isnan(y), []
+        for w, m, P, j in held:
+            h, off = H[j][seen], (y - H[j] @ m)[seen]
+            S = h @ P @ h.T + R[j][np.ix_(seen, seen)]
+            gain = P @ h.T @ np.linalg.inv(S)
+            density = np.exp(-0.5 * off @ np.linalg.solve(S, off)) / np.sqrt(np.linalg.det(2 * np.pi * S))
+            after.append((w * density, m + gain @ off, P - gain @ h @ P, j))
+        evidence = sum(w for w, *_ in after)
+        total += np.log(evidence)
+        held = []
+        for j in range(3):
+            own = [(w / evidence, m, P) for w, m, P, mode in after if mode == j]
+            weight = sum(w for w, *_ in own)
+            middle = sum(w * m for w, m, _ in own) / weight
+            held.append((weight, middle, sum(w * (P + np.outer(m - middle, m - middle)) for w, m, P in own) / weight, j))
+        found.append((sum(w * m for w, m, *_ in held), [w for w, *_ in held]))
+    return total, np.array([m for m, _ in found]), np.array([w for _, w in found])
+
+
+def test_hypotheses_that_agree_in_their_last_modes_are_merged(double):
+    """Merged by the last mode the filter is generalized pseudo-Bayes of order two, with components and a row missing."""
+    ys = measured(6)
+    history = mo.run(0, mo.JumpMarkovFilter(n=3, merge=1), chained(), ys, keep=mo.keep.modes)
+    total, means, modes = pseudo_bayes(ys)
+    assert np.allclose(history.mean, means, rtol=0, atol=1e-9) and np.allclose(history.mode_probabilities, modes, rtol=0, atol=1e-9)
+    assert abs(float(history.log_likelihood) - total) < 1e-9
+
+
+def test_merging_leaves_the_moments_of_a_mixture(double):
+    """Mean, covariance and mode probabilities stay; what differs in a certain state or a mode, and what has no weight, stays apart."""
+    rng = np.random.default_rng(0)
+    roots, symbols = rng.normal(size=(3, 3, 8)), np.array([1, 1, 1, 1, -1, -1, 1, 1.0])
+    roots[1] = 0
+    centers, covs = rng.normal(size=(3, 8)) + 1e3, np.einsum("ikn,jkn->ijn", roots, roots)
+    centers[1], centers[0, 7] = symbols, np.nan
+    log_weights = np.log(np.array([0.1, 0.2, 0.1, 0.1, 0.15, 0.25, 0.1, 0.0]), where=np.arange(8) < 7, out=np.full(8, -np.inf))
+    modes, earlier = np.array([0, 0, 0, 1, 0, 0, 0, 0], np.int32), np.array([[1, 1, 0, 1, 1, 1, 1, 1], [0, 1, 1, 1, 0, 1, 2, 1]], np.int32)
+    law = ModeMixture(mo.Gaussian(np.nan_to_num(centers), covs), jnp.asarray(log_weights), jnp.asarray(modes), 2, jnp.asarray(earlier))
+    law = replace(law, parts=replace(law.parts, center=jnp.asarray(centers)))
+    merged = jax.jit(lambda law: law.merged(2, (1,)))(law)
+    assert np.flatnonzero(np.isfinite(merged.log_weights)).tolist() == [1, 2, 3, 5]
+    assert np.allclose(merged.weights[jnp.array([1, 2, 3, 5])], [0.4, 0.1, 0.1, 0.4])
+    assert np.allclose(merged.mean(), law.mean()) and np.allclose(merged.cov(), law.cov(), rtol=0, atol=1e-8)
+    assert np.allclose(merged.mode_probabilities(), law.mode_probabilities())
+    assert np.array_equal(merged.earlier_modes, earlier) and set(np.asarray(merged.parts.center)[1]) == {-1.0, 1.0}
 
 
 def test_interacting_models_are_near_the_exact_law(double):

@@ -72,7 +72,8 @@ def need(module: str, extra: str) -> ModuleType:
 
 def is_concrete(value: Any) -> bool:
     """Tell whether a value is known now (not a tracer inside jit, vmap or grad)."""
-    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
+    leaves = [value] if isinstance(value, (np.ndarray, jax.Array)) else jax.tree.leaves(value)
+    return not any(isinstance(leaf, Tracer) for leaf in leaves)
 
 
 def as_numbers(argument: str, value: Any, expected: str = "an array of numbers") -> Any:
@@ -88,7 +89,7 @@ def as_numbers(argument: str, value: Any, expected: str = "an array of numbers")
     Raises:
         MotesError: it holds something that is no real number.
     """
-    if isinstance(value, jax.Array):
+    if isinstance(value, jax.Array) or (type(value) is np.ndarray and value.dtype.kind in "biuf"):
         return value
     if isinstance(value, (list, tuple)):
         if not is_concrete(value):

@@ -132,14 +132,29 @@ def identity_like(a: jax.Array) -> jax.Array:
 
 def take(a: jax.Array, indices: Sequence[int], axis: int = 0) -> jax.Array:
     """Pick rows (or columns, by the axis) at indices known now, as slices, which compilers fuse with what follows; a gather they do not."""
+    slices = [jax.lax.slice_in_dim(a, first, end, axis=axis) for first, end in _runs(indices)]
+    return jnp.concatenate(slices or [jax.lax.slice_in_dim(a, 0, 0, axis=axis)], axis=axis)
+
+
+def put(a: jax.Array, rows: jax.Array, indices: Sequence[int], axis: int = 0) -> jax.Array:
+    """Exchange rows (or columns, by the axis) at increasing indices known now, as slices; see `take`."""
+    slices, at, used = [], 0, 0
+    for first, end in _runs(indices):
+        new = jax.lax.slice_in_dim(rows, used, used + end - first, axis=axis)
+        slices += [jax.lax.slice_in_dim(a, at, first, axis=axis), new]
+        at, used = end, used + end - first
+    return jnp.concatenate([*slices, jax.lax.slice_in_dim(a, at, a.shape[axis], axis=axis)], axis=axis)
+
+
+def _runs(indices: Sequence[int]) -> list[list[int]]:
+    """Return first and end of each run of indices that follow each other."""
     runs: list[list[int]] = []
     for i in indices:
         if runs and i == runs[-1][1]:
             runs[-1][1] = i + 1
         else:
             runs.append([i, i + 1])
-    slices = [jax.lax.slice_in_dim(a, first, end, axis=axis) for first, end in runs]
-    return jnp.concatenate(slices or [jax.lax.slice_in_dim(a, 0, 0, axis=axis)], axis=axis)
+    return runs
 
 
 def cholesky(a: jax.Array, scale: jax.Array | None = None) -> jax.Array:

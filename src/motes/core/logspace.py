@@ -1,5 +1,7 @@
 """Weights and sums in log space."""
 
+from typing import Any, ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -60,6 +62,7 @@ class RunningSum:
 
     total: jax.Array
     missed: jax.Array
+    _known: ClassVar[Any] = None
 
     @classmethod
     def zero(cls, dtype: jnp.dtype) -> "RunningSum":
@@ -75,4 +78,8 @@ class RunningSum:
 
     def value(self) -> jax.Array:
         """Return the sum."""
-        return self.total - self.missed
+        return self.total - self.missed if self._known is None else self._known
+
+    def remember(self, value: jax.Array) -> None:
+        """Keep the sum where the program that gave the two numbers gave it too: another one for it alone takes a tenth of a millisecond."""
+        object.__setattr__(self, "_known", value)

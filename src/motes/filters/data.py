@@ -37,7 +37,8 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     inputs = checked_inputs(inputs, ys.shape[0], "ys")
     if checks.is_concrete(ys):
         missing = np.isnan(np.asarray(ys))
-        _ask_whole(sensors, np.asarray(missing.any(axis=1) & ~missing.all(axis=1)))
+        if missing.any():
+            _ask_whole(sensors, np.asarray(missing.any(axis=1) & ~missing.all(axis=1)))
     return ys, inputs
 
 
@@ -64,7 +65,7 @@ def _numbers(argument: str, ys: Any, dtype: Any) -> Any:
 
 def is_array(value: Any) -> bool:
     """Tell an array, or what NumPy makes one of (a list too), from a tree of arrays."""
-    return type(value) in (list, tuple) or (not isinstance(value, Mapping) and jax.tree_util.all_leaves([value]))
+    return type(value) in (list, tuple, np.ndarray) or (not isinstance(value, Mapping) and jax.tree_util.all_leaves([value]))
 
 
 def _with_rows(ys: Any) -> Any:

@@ -2,7 +2,8 @@
 
 A particle carries a path of modes, drawn values of the states named, and the Gaussian of the other states given those.
 
-1. Bring the hypotheses of the step before down to n particles, unbiased: without copies (`resampling/reduction.py`), or, where states are
+1. Merge hypotheses that agree in their last modes, where that is asked for (generalized pseudo-Bayes: Tugnait 1982).
+   Bring the hypotheses of the step before down to n particles, unbiased: without copies (`resampling/reduction.py`), or, where states are
    drawn and few hypotheses have most of the weight, with copies, which then part by their draws.
 2. Predict: each particle goes on in all m modes, by the extended Kalman filter of each, which gives n m hypotheses weighted by the
    transition probabilities. States that are drawn are drawn from the prediction; the rest is conditioned on the draw.
@@ -29,6 +30,7 @@ from motes.gaussian.taylor import Taylor
 from motes.laws.gaussian import Gaussian
 from motes.laws.mode_mixture import ModeMixture
 from motes.laws.switching import log_probabilities
+from motes.models.certain import certain
 from motes.models.jump_markov import JumpMarkovModel
 from motes.resampling import gradients
 from motes.resampling.reduction import Reduction, reduced
@@ -43,7 +45,8 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     """Rao-Blackwellized jump-Markov filter; the state is a `ModeMixture` of n m hypotheses, which `info.ess` counts.
 
     Source: Doucet, Gordon, Krishnamurthy 2001, Particle filters for state estimation of jump Markov linear systems; Fearnhead, Clifford
-    2003, On-line inference for hidden Markov models via particle filters.
+    2003, On-line inference for hidden Markov models via particle filters; Tugnait 1982, Detection and estimation for abruptly changing
+    systems.
 
     Example:
         >>> model = mo.textbook.maneuvers()
@@ -59,6 +62,10 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
             `mo.gaussian.Cubature()`.
         lag: number of earlier modes that each particle remembers, for `state.delayed_mode_probabilities()`; `run` sees to it where
             `keep=mo.keep.modes(lag=4)` asks for them.
+        merge: number of last modes such that hypotheses that agree in them are merged to one Gaussian with the moments of all, before
+            they are brought down to n (generalized pseudo-Bayes of that order: Tugnait 1982); 0 for none. States that are found to have
+            no variance have to agree, too. Modes before these, which a particle remembers, are those of the heaviest. Particles are then
+            not wasted on old modes that make no difference any more, but the likelihood is not unbiased.
     """
 
     subtracts = True
@@ -72,18 +79,23 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
     sampled: tuple[str | int, ...] = static(default=())
     rule: Rule = Taylor()
     lag: int = static(default=0)
+    merge: int = static(default=0)
 
     def check_parameters(self) -> None:
         """Check the parameters.
 
         Raises:
-            MotesError: n is not a positive whole number, lag is negative or none, or the rule is none or has a parameter that it cannot
-                have.
+            MotesError: n is not a positive whole number, lag or merge is negative or none, the rule is none or has a parameter that it
+                cannot have, or particles that draw states are to be merged.
         """
         checks.positive_integer("JumpMarkovFilter n", self.n)
         checks.natural("JumpMarkovFilter lag", self.lag)
         check_rule("JumpMarkovFilter", self.rule)
+        checks.natural("JumpMarkovFilter merge", self.merge)
         object.__setattr__(self, "sampled", (self.sampled,) if isinstance(self.sampled, (str, int)) else tuple(self.sampled))
+        if self.merge and self.sampled:
+            checks.refuse("JumpMarkovFilter merge", "0 where states are sampled, in which particles differ", self.merge)
+        object.__setattr__(self, "lag", max(self.lag, self.merge - 1))
 
     def remembering(self, lag: int) -> "JumpMarkovFilter":
         """Return the filter with particles that remember at least so many modes."""
@@ -101,8 +113,9 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         """
         model = as_jump_markov("JumpMarkovFilter", model)
         self.rule.check_size("JumpMarkovFilter", model.size)
-        self._drawn_states(model)
-        return model
+        if self._drawn_states(model) or self.rule != Taylor():
+            return model
+        return replace(model, certain=certain(model.models, model.noiseless, model.shared, u))
 
     def _drawn_states(self, model: JumpMarkovModel) -> tuple[int, ...]:
         return tuple(sorted({model.index(state) for state in self.sampled}))
@@ -139,7 +152,8 @@ class JumpMarkovFilter(Gated, TwoStageFilter):
         return jax.lax.cond(few, copied, lambda: reduced(key, log_weights, self.n))
 
     def predict(self, key: jax.Array, model: JumpMarkovModel, state: ModeMixture, u: Any, t: Any) -> ModeMixture:
-        """Bring the hypotheses down to n (step 1), and move each in every mode (step 2)."""
+        """Merge hypotheses and bring them down to n (step 1), and move each in every mode (step 2)."""
+        state = state.merged(self.merge, model.certain) if self.merge else state
         ancestors, log_weights = self._reduced(random.child(key, random.RESAMPLE), state.log_weights)
         kept, log_weights = gradients.noticed((state.resampled(ancestors), log_weights))
         log_transition = model.log_transition(u, t)[kept.part_modes].T

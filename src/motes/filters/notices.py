@@ -37,10 +37,10 @@ def notices(history: History) -> list[Finding]:
 
 def numbers(history: History) -> Finding | None:
     """Tell of estimates that are not numbers, or not finite."""
-    kept = [np.asarray(history.kept[name], np.float64) for name in ("mean", "cov") if name in history.kept]
-    wrong = ~np.isfinite(np.asarray(history.info.log_evidence, np.float64)) & ~np.asarray(history.info.collapsed)
-    for each in kept:
-        wrong |= ~np.isfinite(each).all(axis=tuple(range(1, each.ndim)))
+    wrong = ~np.isfinite(np.asarray(history.info.log_evidence)) & ~np.asarray(history.info.collapsed)
+    for name in ("mean", "cov"):
+        if name in history.kept:
+            wrong |= ~np.isfinite(np.asarray(history.kept[name])).reshape(wrong.size, -1).all(axis=1)
     steps = np.flatnonzero(wrong)
     if not steps.size:
         return None

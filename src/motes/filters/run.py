@@ -19,8 +19,9 @@ from motes.filters.history import Carry, History, joined
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
+from motes.filters.pair import Form, pair
 from motes.filters.pieces import pieces
-from motes.filters.setup import canonical_parts, carry_like, setup
+from motes.filters.setup import carry_like, setup
 from motes.io import archive
 from motes.laws.observed import Observed
 from motes.models.canonical import one_of, shape_of
@@ -72,20 +73,20 @@ def run(
     u = jax.tree.map(one_of, inputs)
     y = jax.tree.map(one_of, ys)
     first = None if after is None else _end_of(after, filter, model, u, y)
-    filter.ask(model, u)
     # functions that are equal for inputs of one shape need not be so for those that a run before had
-    alike = first is None or jax.tree.map(shape_of, first.u) == u
-    known = canonical_parts(filter, model, u, y) if alike else (filter, model)
-    if not checks.is_concrete((known, ys, inputs)) and filter.loses_derivatives:
+    known = pair(filter, model, u, y, alike=first is None or jax.tree.map(shape_of, first.u) == u)
+    parts = known.parts
+    if not checks.is_concrete((parts, ys, inputs)) and filter.loses_derivatives:
         # what is compiled is traced, and tells of a derivative, but once
-        known, ys, inputs = gradients.noticed((known, ys, inputs))
+        parts, ys, inputs = gradients.noticed((parts, ys, inputs))
     try:
-        found = _run(key, *known, ys, inputs, (keep, Beside((*known, keep))), first)
+        found = _run(key, known.form, parts, ys, inputs, (keep, Beside(keep)), first)
     except Exception:
         if first is not None:
             _check_end(first, filter, model, u, y)
         raise
-    history = History(found.kept, found.info, found.last, found.start, model.names, repr(filter), engine=found.engine,
+    found.last.evidence.remember(found.evidence)
+    history = History(found.kept, found.info, found.last, found.start, model.names, known.label, engine=found.engine,
                       circular=model.circular, rounding=found.rounding, **filter.traits)  # fmt: skip
     if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
@@ -169,19 +170,21 @@ class _Found:
     kept: dict[str, Any]
     info: Info
     last: Carry
+    evidence: jax.Array
     start: jax.Array
     rounding: jax.Array
     engine: str = static()
 
 
-def _is_light(key: jax.Array, filter: Filter, model: Model, *rest: Any) -> bool:
-    return filter.is_light(model)
+def _is_light(key: jax.Array, form: Form, *rest: Any) -> bool:
+    return form.light
 
 
-@partial(jitted, few=_is_light, static_argnames=("kept",))
-def _run(
-    key: jax.Array, filter: Filter, model: Model, ys: Any, inputs: Inputs, kept: tuple[Keep, Beside], first: Carry | None
+@partial(jitted, few=_is_light, static_argnames=("form", "kept"))
+def _run(  # noqa: PLR0913 (those of run, and what is known of filter and model)
+    key: jax.Array, form: Form, parts: list[Any], ys: Any, inputs: Inputs, kept: tuple[Keep, Beside], first: Carry | None
 ) -> _Found:
+    filter, model = jax.tree.unflatten(form.structure, parts)
     keep = keeping.with_modes(kept[0], model.modes)
     with report.collected() as notes, sharing_traces():
         ready = setup(random.as_key(key), filter, model, at_step(inputs, 0), at_step(ys, 0))
@@ -200,4 +203,5 @@ def _run(
             last, (of_steps, infos) = loop(step, first, (ys, inputs))
         report.complete(notes, type(filter).__name__)
     seen = filter.seen_inputs(at_step(inputs, 0))
-    return _Found(of_steps, infos, last, start, precision.rounding(model, ys, seen), report.engine_used(notes))
+    evidence = jax.lax.optimization_barrier(last.evidence).value()
+    return _Found(of_steps, infos, last, evidence, start, precision.rounding(model, ys, seen), report.engine_used(notes))

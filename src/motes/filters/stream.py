@@ -18,7 +18,8 @@ from motes.filters.history_files import measurement_form
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.late import Past, joined_measurement
-from motes.filters.setup import canonical_parts, carry_like
+from motes.filters.pair import Pair, pair
+from motes.filters.setup import carry_like
 from motes.filters.stream_steps import advance, handed_on, move, start, take_in
 from motes.io import archive
 from motes.io.members import Form
@@ -26,7 +27,6 @@ from motes.laws.observed import Observed, nothing_like, value_of
 from motes.models.canonical import shape_of
 from motes.models.interface import Model
 from motes.models.state_space import numbers_of
-from motes.tracing.identity import Beside
 
 
 @partial(jax.jit, static_argnames=("what",))
@@ -161,15 +161,14 @@ class Stream:
         """Find the form under which compiled code is shared with equal filters and models; it holds for inputs of one shape."""
         shapes = None if u is None else jax.tree.map(shape_of, u)
         if self._form is None:
-            self.filter.ask(self.model, shapes)
+            known = pair(self.filter, self.model, shapes, jax.tree.map(shape_of, y))
             self._input_shapes = shapes
-            self._parts = [jnp.asarray(leaf) for leaf in jax.tree.leaves((self.key, self.filter, self.model))]
-            known = canonical_parts(self.filter, self.model, u, y)
+            self._parts = [self.key, *map(jnp.asarray, known.parts)]
         elif shapes != self._input_shapes:
-            known = (self.filter, self.model)
+            known = Pair(self.filter, self.model, shapes, y, alike=False)
         else:
             return
-        self._form = (jax.tree.structure((self.key, *known)), Beside(known), self.filter.is_light(self.model))
+        self._form = known.form
 
     def _checked(self, y: Any) -> Any:
         if y is None:

@@ -1,6 +1,6 @@
 """The steps of a stream as compiled programs.
 
-Filter and model come as `parts`, their arrays, and `form`: their structure, what they read, and whether their programs are of few numbers.
+Filter and model come as `form`, and as `parts`: the key and their arrays.
 What goes from step to step comes and goes in parts too: to take records apart and together would cost more than many a step does.
 """
 
@@ -12,14 +12,15 @@ import jax
 from motes.core.packed import Packed
 from motes.core.types import Inputs
 from motes.filters.history import Carry
+from motes.filters.pair import Form
 from motes.filters.setup import Setup, setup
 from motes.native import report
 from motes.tracing.compiling import jitted
 
 
-def _ready(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Setup:
-    key, filter, model = jax.tree.unflatten(form[0], parts)
-    return setup(key, filter, model, u, y)
+def _ready(form: Form, parts: list[Any], u: Inputs, y: jax.Array) -> Setup:
+    filter, model = jax.tree.unflatten(form.structure, parts[1:])
+    return setup(parts[0], filter, model, u, y)
 
 
 def handed_on(carry: Carry) -> Packed:
@@ -28,26 +29,26 @@ def handed_on(carry: Carry) -> Packed:
     return Packed.of(carry, together=False)
 
 
-def _is_light(form: Any, *rest: Any) -> bool:
-    return form[2]
+def _is_light(form: Form, *rest: Any) -> bool:
+    return form.light
 
 
 @partial(jitted, few=_is_light, static_argnums=0)
-def start(form: Any, parts: list[Any], u: Inputs, y: jax.Array) -> Packed:
+def start(form: Form, parts: list[Any], u: Inputs, y: jax.Array) -> Packed:
     """Return what goes into step 0; of y only shape and type matter."""
     with report.collected():
         return handed_on(_ready(form, parts, u, y).start(u, y))
 
 
 @partial(jitted, few=_is_light, static_argnums=0)
-def move(form: Any, parts: list[Any], held: Packed, u: Inputs) -> Packed:
+def move(form: Form, parts: list[Any], held: Packed, u: Inputs) -> Packed:
     """Go to the next step; its measurement counts as missing until it is taken in."""
     with report.collected():
         return handed_on(_ready(form, parts, u, held.whole().y).predict(held.whole(), u))
 
 
 @partial(jitted, few=_is_light, static_argnums=0)
-def take_in(form: Any, parts: list[Any], held: Packed, y: jax.Array) -> tuple[Packed, Packed]:
+def take_in(form: Form, parts: list[Any], held: Packed, y: jax.Array) -> tuple[Packed, Packed]:
     """Take in a measurement of the present step; gives also the record of the step."""
     with report.collected() as notes:
         ready = _ready(form, parts, held.whole().u, y)
@@ -57,7 +58,7 @@ def take_in(form: Any, parts: list[Any], held: Packed, y: jax.Array) -> tuple[Pa
 
 
 @partial(jitted, few=_is_light, static_argnums=0)
-def advance(form: Any, parts: list[Any], held: Packed, y: jax.Array, u: Inputs) -> tuple[Packed, Packed]:
+def advance(form: Form, parts: list[Any], held: Packed, y: jax.Array, u: Inputs) -> tuple[Packed, Packed]:
     """Go to the next step and take in its measurement; gives also the record of the step."""
     with report.collected() as notes:
         ready = _ready(form, parts, u, y)

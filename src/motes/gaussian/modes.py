@@ -7,6 +7,8 @@ import jax.numpy as jnp
 
 from motes.gaussian.association import conditioned
 from motes.gaussian.rule import Rule
+from motes.gaussian.rule import conditioned as conditioned_near
+from motes.laws.conditional import AdditiveGaussian
 from motes.laws.gaussian import Correction, Gaussian
 from motes.laws.mode_mixture import ModeMixture
 from motes.models.jump_markov import JumpMarkovModel
@@ -33,7 +35,15 @@ def predicted(rule: Rule, model: JumpMarkovModel, blocks: Gaussian, u: Any, t: A
     Returns:
         All of them, means `(x, m k)` and covariances `(x, x, m k)`, mode after mode.
     """
-    return _joined(model.in_each_mode(u, lambda part, u, block: rule.through(part.dynamics, block, u, t), blocks))
+    spread = model.spread
+
+    def of_one(part: StateSpaceModel, u: Any, block: Gaussian) -> Gaussian:
+        near = rule.linearized(part.dynamics, block, u, t)
+        if not model.certain:
+            return near.over(block)
+        return Gaussian(near.prediction, block.covariance).with_marginal(spread, near.of(spread).over(block, spread))
+
+    return _joined(model.in_each_mode(u, of_one, blocks))
 
 
 def measured(rule: Rule, model: JumpMarkovModel, law: ModeMixture, y: jax.Array, u: Any, t: Any) -> Correction:
@@ -52,7 +62,10 @@ def measured(rule: Rule, model: JumpMarkovModel, law: ModeMixture, y: jax.Array,
     """
 
     def of_one(part: StateSpaceModel, u: Any, block: Gaussian) -> tuple[Gaussian, jax.Array, jax.Array]:
-        done = conditioned(rule, part.sensor, block, y, u, t)
+        if model.certain and isinstance(part.sensor, AdditiveGaussian):
+            done = conditioned_near(part.sensor, block, y, rule.linearized(part.sensor, block, u, t), model.certain)
+        else:
+            done = conditioned(rule, part.sensor, block, y, u, t)
         return done.law, done.log_evidence[None], done.max_log_evidence[None]
 
     after, evidence, highest = _joined(model.in_each_mode(u, of_one, _blocks(model, law)))
@@ -72,7 +85,8 @@ def expected(rule: Rule, model: JumpMarkovModel, law: ModeMixture, columns: jax.
         t: the time.
     """
     some = jax.tree.map(lambda leaf: leaf[..., columns], _blocks(model, law))
-    return _joined(model.in_each_mode(u, lambda part, u, block: rule.through(part.sensor, block, u, t), some))
+    spread = model.spread if model.certain else None
+    return _joined(model.in_each_mode(u, lambda part, u, block: rule.linearized(part.sensor, block, u, t).over(block, spread), some))
 
 
 def _blocks(model: JumpMarkovModel, law: ModeMixture) -> Gaussian:

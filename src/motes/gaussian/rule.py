@@ -6,6 +6,7 @@ a function asks a rule: filters whose law is one Gaussian or a bank of them, and
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -30,9 +31,15 @@ class Linearized(NamedTuple):
     slope: jax.Array
     noise: jax.Array
 
-    def over(self, law: Gaussian) -> Gaussian:
-        """Return the law of the value, given that of the state."""
-        return Gaussian(self.prediction, linalg.add(linalg.sandwich(self.slope, law.covariance), self.noise))
+    def over(self, law: Gaussian, spread: Sequence[int] | None = None) -> Gaussian:
+        """Return the law of the value, given that of the state; spread names the states that have variance, None for all."""
+        slope, law = (self.slope, law) if spread is None else (linalg.take(self.slope, spread, axis=1), law.marginal(spread))
+        return Gaussian(self.prediction, linalg.add(linalg.sandwich(slope, law.covariance), self.noise))
+
+    def of(self, components: Sequence[int]) -> "Linearized":
+        """Return the same for some components of the value."""
+        noise = linalg.take(linalg.take(self.noise, components), components, axis=1)
+        return Linearized(linalg.take(self.prediction, components), linalg.take(self.slope, components), noise)
 
 
 class Rule(ABC):
@@ -81,14 +88,15 @@ class Rule(ABC):
         return conditioned(sensor, law, y, self.linearized(sensor, law, u, t))
 
 
-def conditioned(sensor: Conditional, law: Gaussian, y: jax.Array, near: Linearized) -> Correction:
+def conditioned(sensor: Conditional, law: Gaussian, y: jax.Array, near: Linearized, certain: Sequence[int] = ()) -> Correction:
     """Condition a Gaussian on a measurement `(y,)` through the linear conditional that stands for the sensor.
 
-    Of a batch every Gaussian has a covariance of its own, for which rank-one updates are cheaper.
+    Of a batch every Gaussian has a covariance of its own, for which rank-one updates are cheaper; they leave out the states that are
+    certain, which have no variance.
     """
     innovation, seen = sensor.residual(y, near.prediction), measured_in(y, near.noise)
     if law.center.ndim > 1:
-        return law.corrected_in_turn(innovation, [(range(law.center.shape[0]), near.slope)], near.noise, seen)
+        return law.corrected_in_turn(innovation, [(range(law.center.shape[0]), near.slope)], near.noise, seen, certain)
     return law.corrected(innovation, near.slope, near.noise, seen)._replace(count=jnp.sum(seen))
 
 

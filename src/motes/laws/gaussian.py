@@ -140,7 +140,12 @@ class Gaussian(Law):
         return Correction(_kept_where(jnp.isnan(log_evidence), self, Gaussian(center, joseph)), log_evidence, max_log_evidence)
 
     def corrected_in_turn(
-        self, innovation: jax.Array, slopes: Sequence[tuple[Sequence[int], jax.Array]], R: jax.Array, seen: jax.Array | None = None
+        self,
+        innovation: jax.Array,
+        slopes: Sequence[tuple[Sequence[int], jax.Array]],
+        R: jax.Array,
+        seen: jax.Array | None = None,
+        certain: Sequence[int] = (),
     ) -> "Correction[Gaussian]":
         """Condition as `corrected` does, but one component after the other by rank-one updates: cheaper where each law has its own P.
 
@@ -153,22 +158,25 @@ class Gaussian(Law):
                 them apart again for every entry of P.
             R: `(y, y, *n)`.
             seen: which components were measured, `(y,)` or `(y, n)`; None for all.
+            certain: states that are known to have no variance: what they are does not change, and P is worked out without them.
         """
         if seen is not None:
             innovation, R = zeroed(innovation, seen), among(R, seen)
+        spread = [state for state in range(self.center.shape[0]) if state not in certain]
+        law = self.marginal(spread) if certain else self
         factor, noise = linalg.unit_factor(R)
         innovation = linalg.solve_lower(*same_batch(factor, innovation, 1))
         parts = [linalg.solve_lower(*same_batch(factor, part)) for _, part in slopes]
         places = [(state, part, j) for (states, _), part in zip(slopes, parts, strict=True) for j, state in enumerate(states)]
-        center, P = self.center, self.covariance
+        center, P = law.center, law.covariance
         max_log_evidence, distance, off = (jnp.zeros((), P.dtype),) * 3
         for i in range(innovation.shape[0]):
-            row = [(state, part[i, j]) for state, part, j in places]
-            zero = jnp.zeros_like(center[0])
+            row = [(spread.index(state), part[i, j]) for state, part, j in places if state not in certain]
+            zero = jnp.zeros_like(self.center[0])
             cross = linalg.total([P[:, state] * slope for state, slope in row], jnp.zeros_like(center))
             before = jnp.maximum(linalg.total([slope * cross[state] for state, slope in row], zero), 0)
             variance = before + noise[i]
-            residual = innovation[i] - linalg.total([slope * (center - self.center)[state] for state, slope in row], zero)
+            residual = innovation[i] - linalg.total([slope * (center - law.center)[state] for state, slope in row], zero)
             # components that were not seen are left out here: masked rows of H would be masked again for every entry of P
             used = True if seen is None else seen[i]
             inverse = jnp.where(used, linalg.inverse(variance), 0)
@@ -178,10 +186,23 @@ class Gaussian(Law):
             half = 0.5 * (jnp.log(jnp.where(variance > 0, variance, 1)) + LOG_2PI)
             max_log_evidence = max_log_evidence - jnp.where(used & (variance > 0), half, 0)
             distance = distance + inverse * residual**2
-            size = linalg.total([jnp.abs(slope * self.center[state]) for state, slope in row], zero) + jnp.abs(innovation[i])
+            size = linalg.total([jnp.abs(part[i, j] * self.center[state]) for state, part, j in places], zero) + jnp.abs(innovation[i])
             off = jnp.maximum(off, jnp.where(used & ~(variance > 0), jnp.abs(residual) - carried(P.dtype) * size, 0))
         evidence = jnp.where(off > 0, -jnp.inf, max_log_evidence - 0.5 * distance)
-        return Correction(_kept_where(jnp.isnan(evidence), self, Gaussian(center, P)), evidence, max_log_evidence)
+        after = _kept_where(jnp.isnan(evidence), law, Gaussian(center, P))
+        return Correction(self.with_marginal(spread, after) if certain else after, evidence, max_log_evidence)
+
+    def marginal(self, states: Sequence[int]) -> "Gaussian":
+        """Return the law of some states, at increasing indices known now."""
+        rows = linalg.take(self.covariance, states)
+        return Gaussian(linalg.take(self.center, states), linalg.take(rows, states, axis=1))
+
+    def with_marginal(self, states: Sequence[int], law: "Gaussian") -> "Gaussian":
+        """Return the law in which some states have another one, and the rest keep their means and have no variance."""
+        size, batch = self.center.shape[0], law.covariance.shape[2:]
+        rows = linalg.put(jnp.zeros((len(states), size, *batch), law.covariance.dtype), law.covariance, states, axis=1)
+        cov = linalg.put(jnp.zeros((size, size, *batch), law.covariance.dtype), rows, states)
+        return Gaussian(linalg.put(self.center, law.center, states), cov)
 
     def pinned(self, states: Sequence[int], noise: jax.Array) -> "Gaussian":
         """Draw some of the states of each law and condition it on the draw; the drawn states are left with no variance at all.

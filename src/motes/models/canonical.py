@@ -114,6 +114,8 @@ def shape_of(leaf: Any) -> jax.ShapeDtypeStruct:
     """Shape and type of an array or number, as JAX sees it."""
     if isinstance(leaf, jax.ShapeDtypeStruct):
         return leaf
+    if type(leaf) is np.ndarray:
+        return _shape(leaf.shape, jax.dtypes.canonicalize_dtype(leaf.dtype), False)
     found = jax.typeof(leaf)
     return _shape(found.shape, found.dtype, found.weak_type)
 

@@ -26,6 +26,7 @@ from motes.laws.switching import (
     log_probabilities,
     transition_matrix,
 )
+from motes.models.certain import noiseless
 from motes.models.interface import Model, Wrap, exchanged
 from motes.models.one_model import at_mode, taking_mode
 from motes.models.state_space import StateSpaceModel
@@ -46,6 +47,9 @@ class JumpMarkovModel(Model):
             one that all share.
         names: names of the states, without the mode; those of the models when not given.
         count: number m of modes.
+        noiseless: indices of the states to which neither the initial law nor process noise gives variance in any mode, where the library
+            has looked before it compiles; see `certain.py`.
+        certain: those of them that have no variance ever, where a filter has looked that leaves them out of covariances.
     """
 
     initial_mode: jax.Array
@@ -53,6 +57,8 @@ class JumpMarkovModel(Model):
     models: tuple[StateSpaceModel, ...]
     names: tuple[str, ...] = static(default=())
     count: int = static(default=1)
+    noiseless: tuple[int, ...] = static(default=())
+    certain: tuple[int, ...] = static(default=())
 
     def __init__(
         self,
@@ -105,13 +111,18 @@ class JumpMarkovModel(Model):
         if not callable(transition):
             transition = _probabilities("transition", transition, (count, count), models[0].dtype)
         given = {"initial_mode": initial_mode, "transition": transition, "models": models, "names": names, "count": count}
-        for name, value in given.items():
+        for name, value in (given | {"noiseless": (), "certain": ()}).items():
             object.__setattr__(self, name, value)
 
     @property
     def shared(self) -> bool:
         """Whether all modes share one model, whose functions find the mode among their inputs."""
         return len(self.models) < self.count
+
+    @property
+    def spread(self) -> tuple[int, ...]:
+        """Indices of the states that are not certain."""
+        return tuple(i for i in range(self.size) if i not in self.certain)
 
     @property
     def circular(self) -> tuple[int, ...]:  # type: ignore[override]
@@ -159,7 +170,7 @@ class JumpMarkovModel(Model):
         number = jax.ShapeDtypeStruct((), jnp.int32)
         models = tuple(model.rebuilt(wrap, WithMode(u, number) if self.shared else u, y) for model in self.models)
         transition = wrap.function(self.transition, (u, number), "transition(u, t)")
-        return exchanged(self, {"transition": transition, "models": models})
+        return exchanged(self, {"transition": transition, "models": models, "noiseless": noiseless(models)})
 
     def as_state_space(self) -> StateSpaceModel:
         """Return the same system as a state-space model whose last state is the number of the mode, 0 to m - 1.

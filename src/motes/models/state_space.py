@@ -239,6 +239,8 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
         MotesError: something is no number, or NaN, missing, minus infinity or too large for its type, as far as it is known; the message
             names place and row.
     """
+    if inputs is None:
+        return None
 
     def one(path: Any, leaf: Any) -> Any:
         name = argument + jax.tree_util.keystr(path)

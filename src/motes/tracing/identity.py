@@ -26,7 +26,7 @@ from motes.tracing.internals import PROGRAMS, called, jitted_name, keeps_traces,
 from motes.tracing.program import walk
 from motes.tracing.reading import Reading, changes
 
-_settings = attrgetter("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion",
+settings = attrgetter("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion",
                        "jax_default_prng_impl", "jax_threefry_partitionable", "jax_softmax_custom_jvp", "jax_disable_jit")
 """Switches of JAX that change what tracing gives."""
 
@@ -103,7 +103,7 @@ def canonical_function(function: Any, args: tuple[Any, ...], role: str = "functi
     if isinstance(function, Program) or not is_function(function):
         return function
     leaves, tree = jax.tree.flatten(args)
-    signature = (tuple((leaf.shape, leaf.dtype, leaf.weak_type) for leaf in leaves), tree, _settings(jax.config))
+    signature = (tuple((leaf.shape, leaf.dtype, leaf.weak_type) for leaf in leaves), tree, settings(jax.config))
     identity = _known(function, signature, lambda reading: _traced(function, args, (signature, role), reading))
     return Program(function, identity, role)
 
@@ -186,15 +186,20 @@ class Beside:
     """What decides, beside the structure that JAX knows of a tree, what code compiled for it does: one more argument of such code.
 
     That is what functions and foreign classes in it read which are not wrapped here. Where it is not known it equals nothing else.
+
+    Attributes:
+        reads: what is read.
+        functions: of the user's in the tree, where nothing else in it can change while it lives; otherwise None.
     """
 
-    __slots__ = ("reads",)
+    __slots__ = ("functions", "reads")
 
     def __init__(self, tree: Any):
         """Look at a tree of records, functions, arrays."""
-        found: list[str] = []
-        known = _gathered(tree, found)
-        self.reads: Any = tuple(found) if known else object()
+        found = _Gathered()
+        known = found.look(tree)
+        self.reads: Any = tuple(found.texts) if known else object()
+        self.functions = None if found.texts or found.changes or not known else tuple(found.functions)
 
     def __eq__(self, other: object) -> bool:
         """Compare by what is read."""
@@ -208,33 +213,50 @@ class Beside:
 _PLAIN = (Program, jax.Array, np.ndarray, np.generic, bool, int, float, str, type(None))
 
 
-def _gathered(value: Any, found: list[str]) -> bool:
-    """Collect what is read; False where it is not known."""
-    if type(value) in _PLAIN or isinstance(value, _PLAIN):
-        return True
-    library = type(value).__module__.partition(".")[0] in ("motes", "builtins", "collections")
-    if isinstance(value, (list, tuple, dict)) and library:
-        return all([_gathered(item, found) for item in (value.values() if isinstance(value, dict) else value)])
-    if isinstance(value, FunctionType):
-        return _of_library(value) or _tell_object(value, found)
-    if library and hasattr(value, "__dataclass_fields__"):
-        return all([_gathered(item, found) for item in vars(value).values()])
-    if jax.tree_util.all_leaves([value]):
-        return _tell_object(value, found)
-    if not library and not _tell_object(type(value), found):
-        return False
-    children, structure = jax.tree_util.default_registry.flatten_one_level(value)
-    return _gathered(list(children), found) and _gathered(structure, found)
+class _Gathered:
+    """What was found in a tree.
+
+    Attributes:
+        texts: what functions and foreign classes read that are not wrapped.
+        functions: those of the user's that are wrapped.
+        changes: whether something in it can change where it stands.
+    """
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+        self.functions: list[Any] = []
+        self.changes = False
+
+    def look(self, value: Any) -> bool:
+        """Look at a value; False where it is not known what is read."""
+        if type(value) in _PLAIN or isinstance(value, _PLAIN):
+            if isinstance(value, Program):
+                self.functions.append(value.function)
+            self.changes |= isinstance(value, (np.ndarray, Tracer))
+            return True
+        library = type(value).__module__.partition(".")[0] in ("motes", "builtins", "collections")
+        if isinstance(value, (list, tuple, dict)) and library:
+            self.changes |= not isinstance(value, tuple)
+            return all([self.look(item) for item in (value.values() if isinstance(value, dict) else value)])
+        if isinstance(value, FunctionType):
+            return _of_library(value) or self._tell(value)
+        if library and hasattr(value, "__dataclass_fields__"):
+            return all([self.look(item) for item in vars(value).values()])
+        if jax.tree_util.all_leaves([value]):
+            return self._tell(value)
+        if not library and not self._tell(type(value)):
+            return False
+        children, structure = jax.tree_util.default_registry.flatten_one_level(value)
+        return self.look(list(children)) and self.look(structure)
+
+    def _tell(self, value: Any) -> bool:
+        text = Reading(value).text
+        self.texts.append(text or "")
+        return text is not None
 
 
 def _of_library(function: FunctionType) -> bool:
     return (function.__module__ or "").partition(".")[0] == "motes" and function.__closure__ is None
-
-
-def _tell_object(value: Any, found: list[str]) -> bool:
-    text = Reading(value).text
-    found.append(text or "")
-    return text is not None
 
 
 def _program(program: Any) -> tuple[Any, ...]:
