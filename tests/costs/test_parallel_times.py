@@ -63,7 +63,8 @@ def test_an_unseen_number_of_elements_is_predicted():
     """Within 20 percent, from fits on other numbers."""
     model = mo.textbook.radar_tracking()
     ys = mo.simulate(0, model, 20)[1]
-    filter = mo.Distributed(mo.ParticleFilter(n=16_000), on_collapse="predict")
-    line = mo.fit_step_time(filter, model, ys, particles=(16_000, 64_000), elements=(2, 16))
-    measured = mo.costs.seconds_per_step(mo.Distributed(mo.ParticleFilter(n=32_000), 8, on_collapse="predict"), model, ys)
-    assert line.seconds(32_000, 8) == pytest.approx(measured, rel=0.2)
+    filter = mo.Distributed(mo.ParticleFilter(n=64_000), on_collapse="predict")
+    line = mo.fit_step_time(filter, model, ys, particles=(32_000, 96_000), elements=(2, 16))
+    # the least of several: a neighbor on the machine makes times longer, never shorter
+    measured = min(mo.costs.seconds_per_step(filter, model, ys) for _ in range(3))
+    assert line.seconds(64_000, 8) == pytest.approx(measured, rel=0.2)
