@@ -36,7 +36,7 @@ def main(words: Sequence[str]) -> None:
     wish = asked(Run, [name, *rest], f"motes demo {name}")
     if processes.started("demo", [name, *rest], wish.settings):
         return
-    with processes.joined(wish.settings):
+    with processes.at_work(wish.settings):
         folder, job = carried_out(wish)
         path = folder / f"{name}.toml"
         if is_first():

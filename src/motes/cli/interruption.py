@@ -16,8 +16,8 @@ from typing import NoReturn
 
 from motes.io.unfinished import remove_unfinished
 
-CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
-WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "ended by SIGTERM"}
+CODES: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 143}
+WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "ended by SIGTERM"}
 SHOW_CURSOR = "\x1b[?25h\n"
 
 _ending = threading.Lock()

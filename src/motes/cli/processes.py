@@ -144,7 +144,7 @@ def _free_port() -> int:
 
 
 @contextmanager
-def joined(settings: Any) -> Iterator[None]:
+def at_work(settings: Any) -> Iterator[None]:
     """Work as one with the other processes in a `with` block, where the command is to; all devices share the elements of filters out.
 
     Raises:

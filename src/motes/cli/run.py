@@ -15,6 +15,7 @@ from motes.cli.records import build
 
 if TYPE_CHECKING:
     from motes.applications.interface import Job
+    from motes.cli.running import Outcome
 
 USAGE = "motes run APPLICATION"
 MOST_SCORES = 6
@@ -30,7 +31,7 @@ def main(words: Sequence[str]) -> None:
     wish = asked(Run, words, USAGE)
     if processes.started("run", words, wish.settings):
         return
-    with processes.joined(wish.settings):
+    with processes.at_work(wish.settings):
         folder, _ = carried_out(wish)
         print(f"Results are in {folder}.")
 
@@ -73,14 +74,7 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
         return folder, job
     scores = {name: job.scores(history) for name, history in histories.items()}
     found = {name: running.results(outcome) | {_key(one): one.value for one in scores[name]} for name, outcome in outcomes.items()}
-    shown = next(iter(scores.values()))[:MOST_SCORES]
-    head = ("filter", "n", *(f"{one.name}, {one.unit}" if one.unit else one.name for one in shown), "ESS", "ms/step")
-    rows = [(name, running.size(outcomes[name].filter),
-             *(running.number(one.value, one.digits) for one in scores[name][:MOST_SCORES]),
-             running.number(found[name]["median_ess"], 0), running.number(found[name]["milliseconds_per_step"], 2))
-            for name in outcomes]  # fmt: skip
-    steps = running.steps(next(iter(histories.values())))
-    running.show(job.title(steps), head, rows)
+    _show(job, outcomes, scores, found)
     for name, history in histories.items():
         history.save(folder / f"{name}.nc")
         history.save(folder / f"{name}.npz")
@@ -98,6 +92,19 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
             print(said)
     running.told(outcomes)
     return folder, job
+
+
+def _show(job: "Job", outcomes: "dict[str, Outcome]", scores: dict[str, Any], found: dict[str, dict[str, Any]]) -> None:
+    """Print what came out as a table, a row for each filter."""
+    from motes.cli import running
+
+    shown = next(iter(scores.values()))[:MOST_SCORES]
+    head = ("filter", "n", *(f"{one.name}, {one.unit}" if one.unit else one.name for one in shown), "ESS", "ms/step")
+    rows = [(name, running.size(outcome.filter),
+             *(running.number(one.value, one.digits) for one in scores[name][:MOST_SCORES]),
+             running.number(found[name]["median_ess"], 0), running.number(found[name]["milliseconds_per_step"], 2))
+            for name, outcome in outcomes.items()]  # fmt: skip
+    running.show(job.title(running.steps(next(iter(outcomes.values())).history)), head, rows)
 
 
 def _key(score: Any) -> str:

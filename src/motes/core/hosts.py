@@ -204,7 +204,7 @@ def _connect() -> None:
         os.close(nowhere)
 
 
-def together() -> bool:
+def are_several() -> bool:
     """Tell whether there are other processes."""
     return jax.process_count() > 1
 
@@ -216,7 +216,7 @@ def is_first() -> bool:
 
 def agreed(value: Any) -> Any:
     """Return what process 0 says, a number or an array; all processes ask."""
-    if not together():
+    if not are_several():
         return value
     from jax.experimental import multihost_utils
 
@@ -225,7 +225,7 @@ def agreed(value: Any) -> Any:
 
 def one_of_all(said: bool) -> bool:
     """Tell whether one of the processes says so; all processes ask."""
-    if not together():
+    if not are_several():
         return said
     from jax.experimental import multihost_utils
 
@@ -234,7 +234,7 @@ def one_of_all(said: bool) -> bool:
 
 def brought_together(tree: Any) -> Any:
     """Return arrays with the parts that other processes hold; all processes ask."""
-    if not together():
+    if not are_several():
         return tree
     from jax.experimental import multihost_utils
 
