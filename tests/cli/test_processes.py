@@ -81,7 +81,6 @@ def same(one, two):
     return all(np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True) for a, b in zip(one, two, strict=True))
 
 
-@pytest.mark.optimized
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="the system does not tell what a process runs")
 def test_a_killed_process_is_told_and_the_run_goes_on_with_the_same_bits(folder):
     process = started("--processes", "2", "--out", "two")
