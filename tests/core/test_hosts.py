@@ -25,6 +25,7 @@ POD = {"JOB_COMPLETION_INDEX": "1", "JAX_COORDINATOR_ADDRESS": "job-0.service:12
     (FOUR | SLURM, "Open MPI", "10.96.0.1", PORTS[1531576320 // 4096 % 4096], 8, 5),
     (FOUR | {"OMPI_MCA_orte_hnp_uri": "4096.0;tcp6://[fe80::1,2620::2]:43370"}, "Open MPI", "[fe80::1]", PORTS[1], 8, 5),
     (FIVE | SLURM, "Open MPI 5", "node-01", PORTS[2211 + 977], 2, 0),
+    (SLURM | {"JAX_COORDINATOR_ADDRESS": "login:7"}, "Slurm", "login", 7, 4, 3),
     (HAND | SLURM | TORCH, "variables set by hand", "here", 1234, 3, 2),
     (POD, "Kubernetes", "job-0.service", 1234, 2, 1),
 ])  # fmt: skip
@@ -37,6 +38,7 @@ def test_each_launcher_is_known_by_what_it_tells(told, launcher, host, port, cou
     ({name: SLURM[name] for name in SLURM if "STEP" not in name}, ("variables of Slurm", "SLURM_STEP_NODELIST and SLURM_STEP_ID", "srun")),
     ({name: TORCH[name] for name in TORCH if name != "MASTER_PORT"}, ("torchrun", "none by the name of MASTER_PORT")),
     ({name: HAND[name] for name in HAND if name != "JAX_PROCESS_ID"}, ("none by the name of JAX_PROCESS_ID",)),
+    ({name: HAND[name] for name in HAND if name != "JAX_NUM_PROCESSES"}, ("none by the name of JAX_NUM_PROCESSES",)),
     ({"JOB_COMPLETION_INDEX": "1"}, ("Kubernetes", "JAX_NUM_PROCESSES and JAX_COORDINATOR_ADDRESS")),
     (FIVE | {"PMIX_NAMESPACE": "odd"}, ("an address from the variables of Open MPI 5", "PMIX_NAMESPACE='odd'")),
     (FOUR | {"OMPI_MCA_orte_hnp_uri": "x"}, ("an address from the variables of Open MPI",)),

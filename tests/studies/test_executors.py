@@ -75,11 +75,11 @@ def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch):
     refused(error, "'tcp://127.0.0.1:1' (Timed out trying to connect to tcp://127.0.0.1:1). Is `dask scheduler` running there")
 
 
-class Window:
+class LastFirst:
     """An executor of which a thread works off what was handed out, the last first, once nothing more is handed out."""
 
-    def __init__(self, window):
-        self.window, self.waiting, self.most, self.there = window, [], 0, threading.Condition()
+    def __init__(self):
+        self.waiting, self.most, self.there = [], 0, threading.Condition()
         threading.Thread(target=self.work, daemon=True).start()
 
     def submit(self, function, *arguments):
@@ -102,7 +102,7 @@ class Window:
 
 def test_blocks_are_handed_out_as_others_come_back(monkeypatch):
     monkeypatch.setattr(running, "WINDOW", 4)
-    executor = Window(4)
+    executor = LastFirst()
     assert mo.study("study_models:experiment", executor=executor, chunk=2) == mo.study(experiment())
     assert executor.most <= 4
 

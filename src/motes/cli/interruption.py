@@ -22,6 +22,7 @@ SHOW_CURSOR = "\x1b[?25h\n"
 
 _ending = threading.Lock()
 _asked = threading.Event()
+_name = "motes"
 _kept = ""
 _saves = False
 _instead: Callable[[int], object] | None = None
@@ -36,6 +37,8 @@ def heed(name: str) -> None:
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         # a shell has interruptions of what it starts in its background ignored
         return
+    global _name
+    _name = name
     # lines that were printed are out when it ends
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     reader, writer = os.pipe()
@@ -44,7 +47,7 @@ def heed(name: str) -> None:
         # the thread hears of it in any case; Python asks for a handler
         signal.signal(number, lambda *about: None)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    threading.Thread(target=_listen, args=(reader, name), name="interruption", daemon=True).start()
+    threading.Thread(target=_listen, args=(reader,), name="interruption", daemon=True).start()
 
 
 def keeps(where: str) -> None:
@@ -69,9 +72,9 @@ def is_asked() -> bool:
     return _asked.is_set()
 
 
-def end(name: str) -> NoReturn:
+def end() -> NoReturn:
     """End this process as SIGTERM asked for."""
-    _end(name, signal.SIGTERM)
+    _end(signal.SIGTERM)
     # another thread is at it
     leave(CODES[signal.SIGTERM])
 
@@ -82,7 +85,7 @@ def instead(heard: Callable[[int], object]) -> None:
     _instead = heard
 
 
-def _listen(reader: int, name: str) -> None:
+def _listen(reader: int) -> None:
     while True:
         heard = os.read(reader, 1)[0]
         if heard not in CODES:
@@ -92,15 +95,15 @@ def _listen(reader: int, name: str) -> None:
         elif heard == signal.SIGTERM and _saves and not _asked.is_set():
             _asked.set()
         else:
-            _end(name, heard)
+            _end(heard)
 
 
-def _end(name: str, number: int) -> None:
+def _end(number: int) -> None:
     if not _ending.acquire(blocking=False):
         return
     remove_unfinished()
     # not by way of Python's streams, whose locks the main thread may hold
-    line = (SHOW_CURSOR if os.isatty(2) else "") + f"{name}: {WORDS[number]}{_kept}\n"
+    line = (SHOW_CURSOR if os.isatty(2) else "") + f"{_name}: {WORDS[number]}{_kept}\n"
     try:
         os.write(2, line.encode())
     finally:

@@ -176,7 +176,7 @@ def _kept_run(path: Path, told: Callable[[], str], further: Callable[[History | 
                 kept()
                 since = time.monotonic()
             if ends:
-                interruption.end("motes")
+                interruption.end()
 
 
 def _read(file: Path | None) -> list[History]:

@@ -45,21 +45,24 @@ class Launcher(NamedTuple):
 
     Attributes:
         name: of the launcher.
-        sign: a variable that is there where it was at work.
+        number: of this process.
         count: number of processes.
-        number: of this one.
         needed: further variables.
-        coordinator: gives host and port of process 0 from all variables; ValueError or IndexError where they make no sense.
+        coordinator: gives host and port of process 0 from all variables, unless a user has set it; ValueError where they make no sense.
         start: how it is called so that nothing is missing.
     """
 
     name: str
-    sign: str
-    count: str
     number: str
+    count: str
     needed: tuple[str, ...]
     coordinator: Callable[[Mapping[str, str]], str]
     start: str
+
+    @property
+    def tells(self) -> tuple[str, ...]:
+        """All its variables."""
+        return (self.number, self.count, *self.needed)
 
 
 def _of_torchrun(told: Mapping[str, str]) -> str:
@@ -69,29 +72,28 @@ def _of_torchrun(told: Mapping[str, str]) -> str:
 
 def _of_orte(told: Mapping[str, str]) -> str:
     """From such as 1531576320.0;tcp://10.96.0.1,10.148.0.1:34911 or ...;tcp6://[fe80::1,2620::2]:43370."""
-    job, _, uri = told["OMPI_MCA_orte_hnp_uri"].partition(".")
-    four, six = re.search(r"tcp://([^,:]+)", uri), re.search(r"tcp6://\[([^,\]]+)", uri)
-    if four is None and six is None:
-        raise ValueError("OMPI_MCA_orte_hnp_uri")
-    host = four[1] if four else f"[{six[1]}]"  # type: ignore[index]
+    job, four, six = _matched(r"(\d+)\..*?(?:tcp://([^,:]+)|tcp6://\[([^,\]]+)).*", told["OMPI_MCA_orte_hnp_uri"])
     # numbers of jobs are multiples of 4 096
-    return f"{host}:{_port(int(job) // len(PORTS))}"
+    return f"{four or f'[{six}]'}:{_port(int(job) // len(PORTS))}"
 
 
 def _of_prte(told: Mapping[str, str]) -> str:
     """From such as prterun-node01-2211@1: host and process of the launcher, and the number of its job."""
-    found = re.fullmatch(r"(?:prterun|prte)-(.+)-(\d+)@(\d+)", told["PMIX_NAMESPACE"])
-    if found is None:
-        raise ValueError("PMIX_NAMESPACE")
-    return f"{found[1]}:{_port(int(found[2]) + APART * int(found[3]))}"
+    host, process, job = _matched(r"(?:prterun|prte)-(.+)-(\d+)@(\d+)", told["PMIX_NAMESPACE"])
+    return f"{host}:{_port(int(process) + APART * int(job))}"
 
 
 def _of_slurm(told: Mapping[str, str]) -> str:
     """From such as node[001-015,20],other2: the first of the nodes; two steps of a job get different ports."""
-    found = re.match(r"([^,\[]+)(?:\[([^,\-\]]+))?", told["SLURM_STEP_NODELIST"])
+    prefix, number = _matched(r"([^,\[]+)(?:\[([^,\-\]]+))?.*", told["SLURM_STEP_NODELIST"])
+    return f"{prefix}{number or ''}:{_port(int(told['SLURM_JOB_ID']) + APART * int(told['SLURM_STEP_ID']))}"
+
+
+def _matched(pattern: str, text: str) -> tuple[Any, ...]:
+    found = re.fullmatch(pattern, text)
     if found is None:
-        raise ValueError("SLURM_STEP_NODELIST")
-    return f"{found[1]}{found[2] or ''}:{_port(int(told['SLURM_JOB_ID']) + APART * int(told['SLURM_STEP_ID']))}"
+        raise ValueError(text)
+    return found.groups()
 
 
 def _port(number: int) -> int:
@@ -100,15 +102,14 @@ def _port(number: int) -> int:
 
 # within an allocation of Slurm the variables of mpirun and torchrun are the nearer ones
 LAUNCHERS = (
-    Launcher("variables set by hand", ADDRESS, COUNT, NUMBER, (), lambda told: told[ADDRESS], f"set {ADDRESS}, {COUNT} and {NUMBER}"),
-    Launcher("torchrun", "WORLD_SIZE", "WORLD_SIZE", "RANK", ("MASTER_ADDR", "MASTER_PORT"), _of_torchrun,
+    Launcher("variables set by hand", NUMBER, COUNT, (ADDRESS,), lambda told: told[ADDRESS], f"set {ADDRESS}, {COUNT} and {NUMBER}"),
+    Launcher("torchrun", "RANK", "WORLD_SIZE", ("MASTER_ADDR", "MASTER_PORT"), _of_torchrun,
              "torchrun --nnodes N --nproc-per-node 1 --rdzv-endpoint HOST:PORT --no-python motes ..."),
-    Launcher("Open MPI", "OMPI_MCA_orte_hnp_uri", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_RANK", (), _of_orte, "mpirun motes ..."),
-    Launcher("Open MPI 5", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_RANK", ("PMIX_NAMESPACE",), _of_prte,
-             "mpirun motes ..."),
-    Launcher("Slurm", "SLURM_PROCID", "SLURM_NTASKS", "SLURM_PROCID", ("SLURM_STEP_NODELIST", "SLURM_JOB_ID", "SLURM_STEP_ID"), _of_slurm,
+    Launcher("Open MPI", "OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE", ("OMPI_MCA_orte_hnp_uri",), _of_orte, "mpirun motes ..."),
+    Launcher("Open MPI 5", "OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE", ("PMIX_NAMESPACE",), _of_prte, "mpirun motes ..."),
+    Launcher("Slurm", "SLURM_PROCID", "SLURM_NTASKS", ("SLURM_STEP_NODELIST", "SLURM_JOB_ID", "SLURM_STEP_ID"), _of_slurm,
              "srun motes ... (within sbatch, too)"),
-    Launcher("Kubernetes", "JOB_COMPLETION_INDEX", COUNT, "JOB_COMPLETION_INDEX", (ADDRESS,), lambda told: told[ADDRESS],
+    Launcher("Kubernetes", "JOB_COMPLETION_INDEX", COUNT, (ADDRESS,), lambda told: told[ADDRESS],
              f"set {COUNT} to the job's completions and {ADDRESS} to JOB-0.SERVICE:PORT in the indexed job"),
 )  # fmt: skip
 
@@ -119,20 +120,19 @@ def launched(told: Mapping[str, str]) -> Joined:
     Raises:
         MotesError: no launcher is known by them, or one left out what is needed; the text names it.
     """
-    # an indexed job of Kubernetes numbers its processes itself
-    one = next((one for one in LAUNCHERS if one.sign in told and not (one.number == NUMBER and NUMBER not in told and
-                "JOB_COMPLETION_INDEX" in told)), None)  # fmt: skip
-    if one is None:
+    heard = [one for one in LAUNCHERS if any(name in told for name in one.tells)]
+    if not heard:
         checks.refuse("join", "a process started by srun, mpirun or torchrun, or in an indexed job of Kubernetes, or the variables "
                       f"{ADDRESS}, {COUNT} and {NUMBER}", "none of their variables", "motes run X.toml --processes 2 starts two here.")
-    missing = [name for name in (one.count, one.number, *one.needed) if name not in told]
+    one = next((one for one in heard if all(name in told for name in one.tells)), heard[0])
+    missing = [name for name in one.tells if name not in told]
     if missing:
         checks.refuse("join", f"all variables of {one.name}", f"none by the name of {' and '.join(missing)}", f"Start it by: {one.start}.")
     count, number = (_natural(name, told[name]) for name in (one.count, one.number))
     try:
-        coordinator = one.coordinator(told)
-    except (ValueError, IndexError):
-        shown = ", ".join(f"{name}={told[name][:80]!r}" for name in (*one.needed, one.sign))
+        coordinator = told.get(ADDRESS) or one.coordinator(told)
+    except ValueError:
+        shown = ", ".join(f"{name}={told[name][:80]!r}" for name in one.needed)
         checks.refuse("join", f"an address from the variables of {one.name}", shown, f"Set {ADDRESS}=HOST:PORT, {COUNT} and {NUMBER}.")
     return _checked(Joined(one.name, coordinator, count, number))
 

@@ -8,7 +8,7 @@ What is added over elements is added in their order, wherever they are: results 
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,9 @@ from motes.resampling.policy import Always
 from motes.resampling.schemes import Systematic
 
 EXPECTED = "one that moves and weighs a cloud of n particles, such as ParticleFilter or MarginalizedParticleFilter"
+
+TOLD = ("log_evidence", "ess", "invalid", "lowest", "highest", "shortfall", "nis", "freedom")
+"""What the record of a step of each element tells the others."""
 
 Stage = Callable[[Any, jax.Array, Any], tuple[Any, Any]]
 """From the inner filter of one element, its key and its law to the law after a stage, and the record of the step or None."""
@@ -247,7 +250,7 @@ def _finished(  # noqa: PLR0913 (what a stage made, and from what)
     if info is not None:
         info = replace(info, log_evidence=info.log_evidence if log_mass is None else info.log_evidence + log_mass)
         mine = info.log_evidence
-        info, total = _of_all(crew.gathered(_Numbers(prior, *(getattr(info, name) for name in _Numbers._fields[1:]))))
+        info, total = _of_all(crew.gathered({"prior": prior} | {name: getattr(info, name) for name in TOLD}))
         log_mass = mine - total
     if log_mass is not None:
         law = replace(law, log_weights=added(law.log_weights, log_mass))
@@ -255,34 +258,21 @@ def _finished(  # noqa: PLR0913 (what a stage made, and from what)
     return lanes, (rest, info)
 
 
-class _Numbers(NamedTuple):
-    """What is gathered of a step: log masses of before, up to a constant, and what the record of the step of an element says."""
-
-    prior: jax.Array
-    log_evidence: jax.Array
-    ess: jax.Array
-    invalid: jax.Array
-    lowest: jax.Array
-    highest: jax.Array
-    shortfall: jax.Array
-    nis: jax.Array
-    freedom: jax.Array
-
-
-def _of_all(of_elements: _Numbers) -> tuple[Info, jax.Array]:
+def _of_all(of_elements: dict[str, jax.Array]) -> tuple[Info, jax.Array]:
     """Return the record of the step from what all elements say `(K,)`, evidences times masses, and the log of the sum of these.
 
-    Squared distances of the measurement, and their degrees of freedom, are averaged with the masses of before.
+    Squared distances of the measurement, and their degrees of freedom, are averaged with the masses of before, `prior`, which are known up
+    to a constant.
     """
-    joint = of_elements.log_evidence
+    joint, prior, freedom = (of_elements[name] for name in ("log_evidence", "prior", "freedom"))
     total = log_sum(jnp.where(jnp.isnan(joint), -jnp.inf, joint))
     shares = jnp.where(joint > -jnp.inf, jnp.exp(joint - jnp.where(jnp.isfinite(total), total, 0)), 0)
-    squares = jnp.sum(jnp.where(shares > 0, shares**2 / of_elements.ess, 0))
-    found = [total, 1 / squares, jnp.sum(of_elements.invalid), jnp.min(of_elements.lowest), jnp.max(of_elements.highest),
-             jnp.min(of_elements.shortfall)]  # fmt: skip
+    squares = jnp.sum(jnp.where(shares > 0, shares**2 / of_elements["ess"], 0))
+    found = [total, 1 / squares, jnp.sum(of_elements["invalid"]), jnp.min(of_elements["lowest"]), jnp.max(of_elements["highest"]),
+             jnp.min(of_elements["shortfall"])]  # fmt: skip
     info = info_of(jnp.stack([one.astype(total.dtype) for one in found]))
-    weights = jnp.where(of_elements.freedom > 0, jnp.exp(of_elements.prior - jnp.max(of_elements.prior)), 0)
+    weights = jnp.where(freedom > 0, jnp.exp(prior - jnp.max(prior)), 0)
     known = jnp.sum(weights)
     square, freedom = (jnp.sum(jnp.where(weights > 0, weights * one, 0)) / jnp.where(known > 0, known, 1)
-                       for one in (of_elements.nis, of_elements.freedom))  # fmt: skip
+                       for one in (of_elements["nis"], freedom))  # fmt: skip
     return with_innovation(info, Innovation(square, freedom)), total

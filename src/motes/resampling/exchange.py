@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from motes.core import checks, random
 from motes.core.devices import Crew
-from motes.core.record import record, replace, static
+from motes.core.record import record, replace, static, values
 from motes.laws.elements import Form, Sums, masses, normalized_within
 from motes.resampling.allotment import Children, allotted, as_wide, delivered, ends_of, strip_width
 from motes.resampling.policy import Policy
@@ -72,11 +72,21 @@ class Exchange(ABC):
 class OwnNumber(Exchange):
     """An exchange by which each element keeps its number of particles, resamples itself, and has a mass.
 
-    Of each element the particles at every `stride`-th place go, evenly spaced since neighbors are often children of one parent; none where
-    that is 0.
+    Of each element a share of the particles goes, evenly spaced since neighbors are often children of one parent; none where it has no
+    `share`, which is in (0, 0.5].
     """
 
-    stride: int = 0
+    share: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse shares outside (0, 0.5]."""
+        if "share" in values(self):
+            checks.above_zero(f"{type(self).__name__} share", self.share, 0.5)
+
+    @property
+    def stride(self) -> int:
+        """How far apart the particles are that go; 0 for none."""
+        return round(1 / self.share) if self.share else 0
 
     def columns(self, size: int) -> int:
         """Number of particles that go, of an element of so many."""
@@ -109,12 +119,6 @@ class OwnNumber(Exchange):
         """Return an array `(..., size)` that has columns at the places that go."""
         shape = columns.shape
         return jnp.broadcast_to(columns[..., None], (*shape, self.stride)).reshape(*shape[:-1], shape[-1] * self.stride)[..., :size]
-
-
-def _stride(name: str, share: Any) -> int:
-    """Return how far apart the particles are of which a share goes."""
-    checks.above_zero(f"{name} share", share, 0.5)
-    return round(1 / share)
 
 
 @record
@@ -153,15 +157,6 @@ class Ring(OwnNumber):
 
     share: float = static(default=0.1)
 
-    def __post_init__(self) -> None:
-        """Refuse shares outside (0, 0.5]."""
-        _ = self.stride
-
-    @property
-    def stride(self) -> int:  # type: ignore[override]
-        """How far apart the particles are that go."""
-        return _stride(type(self).__name__, self.share)
-
     def received(self, crew: Crew, columns: list[jax.Array], t: Any) -> list[jax.Array]:
         """See `OwnNumber`."""
         before = crew.from_device([column[..., -1:, :] for column in columns], 1)
@@ -184,15 +179,6 @@ class Butterfly(OwnNumber):
     """
 
     share: float = static(default=0.25)
-
-    def __post_init__(self) -> None:
-        """Refuse shares outside (0, 0.5]."""
-        _ = self.stride
-
-    @property
-    def stride(self) -> int:  # type: ignore[override]
-        """How far apart the particles are that go."""
-        return _stride(type(self).__name__, self.share)
 
     def check(self, elements: int) -> None:
         """Refuse numbers of elements that are no powers of two."""
