@@ -1,6 +1,7 @@
 """A program with eight host devices: runs of a `Distributed` filter on 1, 2, 4 and 8 of them, and what they exchange. Prints JSON.
 
-Arguments: JSON of a list of cases, each a list of filter, particles, exchange and numbers of devices, or of the word "bytes" and particles.
+Arguments: JSON of a list of cases, each a list of filter, particles, exchange and numbers of devices, of the word "bytes" and particles,
+or of "chains".
 """
 
 import json
@@ -79,6 +80,21 @@ def bits(name, n, exchange, counts):
     return wrong
 
 
+def chains():
+    """Names of what differs from chains on one device; more devices than divide them are refused."""
+    def drawn(count):
+        with mo.devices(count):
+            return numbers(mo.sample(1, mo.mcmc.RandomWalkMetropolis(), lambda x: -(x @ x), np.zeros(2), draws=20, chains=8, burn_in=20))
+
+    alone = drawn(1)
+    wrong = [f"chains on {count}" for count in (2, 8) if not all(map(np.array_equal, drawn(count), alone))]
+    try:
+        drawn(3)
+    except mo.MotesError as reason:
+        return wrong if "devices count: expected a divisor of the number of chains, 8, got 3" in str(reason) else [str(reason)]
+    return [*wrong, "three devices"]
+
+
 def shape_bytes(text):
     return sum(SIZES[kind] * int(np.prod([int(d) for d in dims.split(",") if d], dtype=np.int64))
                for kind, dims in re.findall(r"\b(f32|s32|u32|f64|pred)\[([\d,]*)\]", text))  # fmt: skip
@@ -105,5 +121,6 @@ def exchanged(n):
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
-    answers = [exchanged(case[1]) if case[0] == "bytes" else bits(*case) for case in json.loads(sys.argv[1])]
+    kinds = {"bytes": exchanged, "chains": chains}
+    answers = [kinds[case[0]](*case[1:]) if case[0] in kinds else bits(*case) for case in json.loads(sys.argv[1])]
     print(json.dumps(answers))
