@@ -46,8 +46,8 @@ def folder(tmp_path, monkeypatch):
 def started(*more, told=None):
     heard = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from motes.cli.main import main; main()"
     paths = os.pathsep.join(filter(None, sys.path))
-    return subprocess.Popen([sys.executable, "-c", heard, *ASKED, *more], env=os.environ | {"PYTHONPATH": paths} | (told or {}), stdout=subprocess.PIPE,
-                            stderr=subprocess.PIPE, text=True)  # fmt: skip
+    return subprocess.Popen([sys.executable, "-c", heard, *ASKED, *more], env=os.environ | {"PYTHONPATH": paths} | (told or {}),
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # fmt: skip
 
 
 def children(process):

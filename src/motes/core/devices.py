@@ -118,20 +118,20 @@ class Crew(NamedTuple):
         if self.devices == 1:
             return tree
         leaves, form = jax.tree.flatten(tree)
-        bits = [_bits(leaf) for leaf in leaves]
-        message = jax.lax.ppermute(jnp.concatenate(bits), AXIS, pairs)
-        parts = jnp.split(message, np.cumsum([part.size for part in bits])[:-1])
-        return jax.tree.unflatten(form, [_of_bits(part, leaf) for part, leaf in zip(parts, leaves, strict=True)])
+        words = [_as_words(leaf) for leaf in leaves]
+        message = jax.lax.ppermute(jnp.concatenate(words), AXIS, pairs)
+        parts = jnp.split(message, np.cumsum([part.size for part in words])[:-1])
+        return jax.tree.unflatten(form, [_of_words(part, leaf) for part, leaf in zip(parts, leaves, strict=True)])
 
 
-def _bits(array: jax.Array) -> jax.Array:
+def _as_words(array: jax.Array) -> jax.Array:
     """Return the bits of an array of numbers of 32 or 64 bits, `(k,)` uint32."""
     return jax.lax.bitcast_convert_type(array, jnp.uint32).reshape(-1)
 
 
-def _of_bits(bits: jax.Array, like: jax.Array) -> jax.Array:
-    """Undo `_bits` for an array like the given one."""
-    return jax.lax.bitcast_convert_type(bits.reshape(*like.shape, *([2] if like.dtype.itemsize == 8 else [])), like.dtype)
+def _of_words(words: jax.Array, like: jax.Array) -> jax.Array:
+    """Undo `_as_words` for an array like the given one."""
+    return jax.lax.bitcast_convert_type(words.reshape(*like.shape, *([2] if like.dtype.itemsize == 8 else [])), like.dtype)
 
 
 def shared_out(
