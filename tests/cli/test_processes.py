@@ -82,6 +82,16 @@ def same(one, two):
     return all(np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True) for a, b in zip(one, two, strict=True))
 
 
+def test_two_processes_find_what_one_does(folder):
+    Path("own.py").write_text(OWN.format(every=0.0, steps=8))
+    process = started("--processes", "2", "--out", "two")
+    assert main([*ASKED, "--out", "one"]) == 0
+    out, err = ended(process)
+    assert process.returncode == 0 and "Results are in two." in out and "Gloo" not in out, err
+    assert same("one", "two")
+
+
+@pytest.mark.night
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="the system does not tell what a process runs")
 def test_a_killed_process_is_told_and_the_run_goes_on_with_the_same_bits(folder):
     process = started("--processes", "2", "--out", "two")
