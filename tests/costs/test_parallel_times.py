@@ -47,6 +47,8 @@ def test_its_inverses_undo_it_in_whatever_unit():
         (lambda: mo.costs.particles_for_period(71, 4, 50, 20), "particles_for_period period: expected at least 72"),
         (lambda: mo.fit_step_time(mo.Distributed(mo.ParticleFilter(n=64)), mo.textbook.growth(), np.zeros((4, 1)), elements=(4, 4)),
          "fit_step_time elements: expected different numbers"),
+        (lambda: mo.fit_step_time(mo.Distributed(mo.ParticleFilter(n=64)), mo.textbook.growth(), np.zeros((4, 1)), particles=(64, 128),
+                                  elements=(3, 4)), "fit_step_time elements: expected divisors of all numbers of particles, got 3 for 64"),
     ],
 )  # fmt: skip
 def test_what_is_refused(call, message):
