@@ -1,7 +1,7 @@
 """Several runs as one: filters that shared the load, or filters of several models (Bolic, Djuric, Hong 2005)."""
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -63,6 +63,26 @@ def combined(histories: Sequence[History], by: str = "evidence") -> Combined:
         MotesError: there is no history, they do not begin at step 0 or differ in length or states, or their filters know no evidence.
     """
     checks.option("combined by", by, ("evidence", "average"))
+    histories = _combinable(histories)
+    evidence = jnp.stack([history.log_evidence for history in histories], axis=1)
+    by_evidence = _log_weights(evidence)
+    equal = jnp.full_like(evidence, -jnp.log(len(histories)))
+    log_evidence = jax.nn.logsumexp(jnp.concatenate([equal[:1], by_evidence[:-1]]) + evidence, axis=1)
+    log_weights = by_evidence if by == "evidence" else equal
+    weights = jnp.exp(log_weights)
+    if by == "evidence" and len(histories) > 1 and checks.is_concrete(weights):
+        _warn(np.asarray(weights))
+    means, covs = (jnp.stack([getattr(history, name) for history in histories], axis=1) for name in ("mean", "cov"))
+    # each run has its angles on a branch of its own
+    means = circular.gathered(jnp.transpose(means, (2, 1, 0)), log_weights.T, histories[0].circular).T
+    mean = jnp.einsum("tr,trx->tx", weights, means)
+    off = means - mean[:, None]
+    cov = jnp.einsum("tr,trxz->txz", weights, covs + off[..., :, None] * off[..., None, :])
+    return Combined(mean, cov, log_evidence, weights)
+
+
+def _combinable(histories: Any) -> list[History]:
+    """Return what can be combined as a list, or refuse it."""
     if isinstance(histories, History) or not isinstance(histories, Iterable):
         checks.refuse("combined histories", "a list of what mo.run gave", type(histories).__name__)
     histories = list(histories)
@@ -83,21 +103,7 @@ def combined(histories: Sequence[History], by: str = "evidence") -> Combined:
     if len(states) > 1:
         told = " and ".join(sorted(f"{', '.join(names)} (angles: {list(angles)})" for names, angles in states))
         checks.refuse("combined histories", expected, f"states {told}")
-    evidence = jnp.stack([history.log_evidence for history in histories], axis=1)
-    by_evidence = _log_weights(evidence)
-    equal = jnp.full_like(evidence, -jnp.log(len(histories)))
-    log_evidence = jax.nn.logsumexp(jnp.concatenate([equal[:1], by_evidence[:-1]]) + evidence, axis=1)
-    log_weights = by_evidence if by == "evidence" else equal
-    weights = jnp.exp(log_weights)
-    if by == "evidence" and len(histories) > 1 and checks.is_concrete(weights):
-        _warn(np.asarray(weights))
-    means, covs = (jnp.stack([getattr(history, name) for history in histories], axis=1) for name in ("mean", "cov"))
-    # each run has its angles on a branch of its own
-    means = circular.gathered(jnp.transpose(means, (2, 1, 0)), log_weights.T, histories[0].circular).T
-    mean = jnp.einsum("tr,trx->tx", weights, means)
-    off = means - mean[:, None]
-    cov = jnp.einsum("tr,trxz->txz", weights, covs + off[..., :, None] * off[..., None, :])
-    return Combined(mean, cov, log_evidence, weights)
+    return histories
 
 
 def _log_weights(evidence: jax.Array) -> jax.Array:
