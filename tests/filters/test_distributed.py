@@ -28,8 +28,8 @@ FLAGS = ("--xla_force_host_platform_device_count=8", "--xla_backend_optimization
 EXCHANGES = {"Proportional": mo.Proportional(), "Ring": mo.Ring(0.1), "Butterfly": mo.Butterfly(0.25), "Apart": mo.Apart()}
 BOTH = [(name, exchange) for name in ("particle", "marginalized") for exchange in EXCHANGES]
 GRID = {
-    "by day": [["particle", 64, "Proportional", [8]], ["bytes", 65_536], ["chains"], ["derivatives", "Ring"]],
-    "derivatives": [["derivatives", "Proportional"], ["derivatives", "Butterfly"]],
+    "by day": [["particle", 64, "Proportional", [8]], ["bytes", 65_536], ["chains"], ["messages"]],
+    "derivatives": [["derivatives", "Ring"], ["derivatives", "Proportional"], ["derivatives", "Butterfly"]],
     **{f"{name}, {exchange}": [[name, 1_024, exchange, [2, 4, 8]]] for name, exchange in BOTH},
     # from 1 000 particles of an element on, native kernels work
     **{f"native {name}, {exchange}": [[name, 16_384, exchange, [2, 4, 8]]] for name, exchange in BOTH},
