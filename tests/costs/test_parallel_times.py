@@ -23,6 +23,15 @@ def test_its_inverse_keeps_the_period_with_the_least(period):
     assert mo.sampling_period(particles, 4, **numbers) <= period < mo.sampling_period(particles + 4, 4, **numbers)
 
 
+def test_its_inverses_undo_it_in_whatever_unit():
+    """A period that is met exactly is met: what is rounded on the way costs no element, and no particle."""
+    for particles, elements, latency, waiting, clock in ((4_233, 7, 5, 51, 1.0), (17_208, 6, 51, 27, 0.1), (11_350, 25, 34, 53, 1e-9)):
+        numbers = (latency, waiting, clock)
+        assert mo.costs.elements_for_period(mo.sampling_period(particles, elements, *numbers), particles, *numbers) == elements
+        of_all = particles * elements
+        assert mo.costs.particles_for_period(mo.sampling_period(of_all, elements, *numbers), elements, *numbers) == of_all
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -30,10 +39,16 @@ def test_its_inverse_keeps_the_period_with_the_least(period):
         (lambda: mo.sampling_period(10, 0), "sampling_period elements"),
         (lambda: mo.sampling_period(10, latency=-1), "sampling_period latency: expected a number of cycles, at least 0"),
         (lambda: mo.sampling_period(10, clock=0), "sampling_period clock"),
+        (lambda: mo.sampling_period(10, latency=True), "sampling_period latency"),
+        (lambda: mo.costs.elements_for_period("5ms", 1_024), "elements_for_period period: expected a number above 0"),
+        (lambda: mo.costs.particles_for_period(np.nan, 4), "particles_for_period period: expected a number above 0"),
+        (lambda: mo.costs.particles_for_period(np.inf, 4), "particles_for_period period: expected a number above 0"),
         (lambda: mo.costs.elements_for_period(60, 1_024, 50, 20), "elements_for_period period: expected more than 70"),
         (lambda: mo.costs.particles_for_period(71, 4, 50, 20), "particles_for_period period: expected at least 72"),
         (lambda: mo.fit_step_time(mo.Distributed(mo.ParticleFilter(n=64)), mo.textbook.growth(), np.zeros((4, 1)), elements=(4, 4)),
          "fit_step_time elements: expected different numbers"),
+        (lambda: mo.fit_step_time(mo.Distributed(mo.ParticleFilter(n=64)), mo.textbook.growth(), np.zeros((4, 1)), particles=(64, 128),
+                                  elements=(3, 4)), "fit_step_time elements: expected divisors of all numbers of particles, got 3 for 64"),
     ],
 )  # fmt: skip
 def test_what_is_refused(call, message):

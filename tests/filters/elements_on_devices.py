@@ -1,7 +1,7 @@
 """A program with eight host devices: runs of a `Distributed` filter on 1, 2, 4 and 8 of them, and what they exchange. Prints JSON.
 
 Arguments: JSON of a list of cases, each a list of filter, particles, exchange and numbers of devices, of the word "bytes" and particles,
-or of "chains".
+of "chains", of "messages", or of "derivatives" and exchange.
 """
 
 import json
@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 import motes as mo
+from motes.core.devices import shared_out
 from motes.filters.setup import setup
 
 SIZES = {"f32": 4, "s32": 4, "u32": 4, "f64": 8, "pred": 1}
@@ -95,6 +96,32 @@ def chains():
     return [*wrong, "three devices"]
 
 
+def derivatives(exchange):
+    """Whether the derivative of the log likelihood is another on two devices than on one."""
+    ys = np.array([[1.0], [2.0], [0.5]], np.float32)
+
+    def derivative(count):
+        filter = mo.Distributed(mo.ParticleFilter(n=32), 2, getattr(mo, exchange)())
+
+        def likelihood(mean):
+            walk = mo.LinearGaussian(np.eye(1), np.eye(1))
+            return mo.run(1, filter, mo.StateSpaceModel(mo.Gaussian(mean, np.eye(1)), walk, walk), ys).log_likelihood
+
+        with mo.devices(count):
+            return jax.grad(likelihood)(np.ones(1, np.float32))
+
+    return [] if np.allclose(derivative(1), derivative(2), rtol=1e-4) else ["another"]
+
+
+def messages():
+    """Whether a derivative is lost on the way from device to device."""
+    def total(x):
+        return shared_out(lambda crew, cut, whole: ([], crew.gathered(cut[0] ** 2)), 2, [x], [], [])[1].sum()
+
+    with mo.devices(2):
+        return [] if np.allclose(jax.grad(total)(np.ones(2, np.float32)), 2) else ["lost"]
+
+
 def shape_bytes(text):
     return sum(SIZES[kind] * int(np.prod([int(d) for d in dims.split(",") if d], dtype=np.int64))
                for kind, dims in re.findall(r"\b(f32|s32|u32|f64|pred)\[([\d,]*)\]", text))  # fmt: skip
@@ -121,6 +148,6 @@ def exchanged(n):
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
-    kinds = {"bytes": exchanged, "chains": chains}
+    kinds = {"bytes": exchanged, "chains": chains, "derivatives": derivatives, "messages": messages}
     answers = [kinds[case[0]](*case[1:]) if case[0] in kinds else bits(*case) for case in json.loads(sys.argv[1])]
     print(json.dumps(answers))

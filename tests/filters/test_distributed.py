@@ -28,7 +28,8 @@ FLAGS = ("--xla_force_host_platform_device_count=8", "--xla_backend_optimization
 EXCHANGES = {"Proportional": mo.Proportional(), "Ring": mo.Ring(0.1), "Butterfly": mo.Butterfly(0.25), "Apart": mo.Apart()}
 BOTH = [(name, exchange) for name in ("particle", "marginalized") for exchange in EXCHANGES]
 GRID = {
-    "by day": [["particle", 64, "Proportional", [8]], ["bytes", 65_536], ["chains"]],
+    "by day": [["particle", 64, "Proportional", [8]], ["bytes", 65_536], ["chains"], ["messages"]],
+    "derivatives": [["derivatives", "Ring"], ["derivatives", "Proportional"], ["derivatives", "Butterfly"]],
     **{f"{name}, {exchange}": [[name, 1_024, exchange, [2, 4, 8]]] for name, exchange in BOTH},
     # from 1 000 particles of an element on, native kernels work
     **{f"native {name}, {exchange}": [[name, 16_384, exchange, [2, 4, 8]]] for name, exchange in BOTH},
@@ -92,6 +93,14 @@ def test_the_comb_is_that_of_systematic_resampling():
             np.testing.assert_allclose(native.log, found.log, rtol=1e-5)
             ends = ends_of(Crew(8, 1), cut, native.log, allotted(native.sums.weights, jnp.float32(u), 4_096), jnp.float32(u)).reshape(-1)
             assert np.mean(np.asarray(parents_of(ends, 0, 4_096)) != parents) < 0.01
+
+
+def test_an_element_without_mass_gets_no_child():
+    """Also the last one, where the sizes of those before it do not sum up to n in float32."""
+    masses = np.random.default_rng(0).dirichlet(np.ones(5), 4_000) @ np.eye(5, 8)[:, [0, 1, 5, 2, 3, 4, 6, 7]]
+    u = np.random.default_rng(1).random(4_000, np.float32)
+    start = jax.vmap(lambda mass, u: allotted(mass, u, 2**23).start)(jnp.asarray(masses, jnp.float32), u)
+    assert np.all(np.diff(start, axis=1)[:, [2, 6, 7]] == 0) and np.all(start[:, 0] == 0) and np.all(start[:, -1] == 2**23)
 
 
 def test_moments_are_those_of_the_whole_cloud():

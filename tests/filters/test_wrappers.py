@@ -188,6 +188,7 @@ def test_sizes_change_in_a_stream_as_in_a_run(name):
 @pytest.mark.parametrize(("make", "words"), [
     (lambda: mo.AdaptiveSize(mo.KalmanFilter(), (1, 2), (1.0,)), "AdaptiveSize filter: expected one with a number of particles n"),
     (lambda: mo.AdaptiveSize(INNER, (300, 200), (1.0,)), "AdaptiveSize sizes: expected numbers that increase"),
+    (lambda: mo.AdaptiveSize(mo.Distributed(INNER, 2), (21, 60), (1.0,)), "AdaptiveSize sizes: expected numbers .* such as 22, got 21"),
     (lambda: mo.AdaptiveSize(INNER, (200, 300), (1.0, 0.0)), "AdaptiveSize widths: expected a width above 0"),
     (lambda: mo.AdaptiveSize(INNER, (200, 300), (1.0, 1.0), error=2.0), "AdaptiveSize error: expected a number between 0 and 1"),
     (lambda: mo.AdaptiveSize(INNER, 300, (1.0,)), "AdaptiveSize sizes: expected some numbers"),

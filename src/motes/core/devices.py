@@ -118,10 +118,23 @@ class Crew(NamedTuple):
         if self.devices == 1:
             return tree
         leaves, form = jax.tree.flatten(tree)
-        words = [_as_words(leaf) for leaf in leaves]
-        message = jax.lax.ppermute(jnp.concatenate(words), AXIS, pairs)
-        parts = jnp.split(message, np.cumsum([part.size for part in words])[:-1])
-        return jax.tree.unflatten(form, [_of_words(part, leaf) for part, leaf in zip(parts, leaves, strict=True)])
+        return jax.tree.unflatten(form, _message(tuple(pairs), leaves))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _message(pairs: tuple[tuple[int, int], ...], leaves: list[jax.Array]) -> list[jax.Array]:
+    """Send arrays from device to device as the bits of one."""
+    words = [_as_words(leaf) for leaf in leaves]
+    message = jax.lax.ppermute(jnp.concatenate(words), AXIS, pairs)
+    parts = jnp.split(message, np.cumsum([part.size for part in words])[:-1])
+    return [_of_words(part, leaf) for part, leaf in zip(parts, leaves, strict=True)]
+
+
+@_message.defjvp
+def _message_jvp(pairs: tuple[tuple[int, int], ...], given: Any, changes: Any) -> Any:
+    """Send derivatives along with the arrays: bits have none."""
+    sent = [change if change.dtype == jax.dtypes.float0 else jax.lax.ppermute(change, AXIS, pairs) for change in changes[0]]
+    return _message(pairs, given[0]), sent
 
 
 def _as_words(array: jax.Array) -> jax.Array:

@@ -164,6 +164,8 @@ def fit_step_time(  # noqa: PLR0913 (those of a run, and what is varied)
     if isinstance(filter, Distributed):
         _different("particles", particles)
         _different("elements", elements)
+        if odd := [(n, k) for n in particles for k in elements if n % k]:
+            checks.refuse("fit_step_time elements", "divisors of all numbers of particles", f"{odd[0][1]} for {odd[0][0]} particles")
         count = devices.chosen()
         return StepTime.fitted(tuple(
             (n / count, k / count, one.sent(model, count), seconds_per_step(one, model, ys, inputs, repeats))

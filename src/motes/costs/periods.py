@@ -5,6 +5,9 @@ L is the latency of the pipeline and L_c that of the exchange: T = (2 M / K + L 
 """
 
 import math
+import sys
+
+import numpy as np
 
 from motes.core import checks
 
@@ -49,13 +52,19 @@ def elements_for_period(period: float, particles: int, latency: float = 0.0, exc
     Raises:
         MotesError: no number of elements does.
     """
-    if sampling_period(particles, 1, latency, exchange_latency, clock) <= period:
+    checks.above_zero("elements_for_period period", period)
+    numbers = (latency, exchange_latency, clock)
+    if sampling_period(particles, 1, *numbers) <= period:
         return 1
-    left = period / clock - _waiting("elements_for_period", 2, latency, exchange_latency, clock)
+    left = period / clock - _waiting("elements_for_period", 2, *numbers)
     if left <= 0:
         least = (latency + exchange_latency) * clock
         checks.refuse("elements_for_period period", f"more than {least:.3g}, the latencies alone", f"{period:.3g}")
-    return max(2, math.ceil(2 * particles / left))
+    found = max(2, math.ceil(2 * particles / left))
+    # by what is rounded it may be one too many, or too few
+    if found > 2 and sampling_period(particles, found - 1, *numbers) <= period:
+        return found - 1
+    return found + (sampling_period(particles, found, *numbers) > period)
 
 
 def particles_for_period(period: float, elements: int = 1, latency: float = 0.0, exchange_latency: float = 0.0, clock: float = 1.0) -> int:
@@ -72,9 +81,16 @@ def particles_for_period(period: float, elements: int = 1, latency: float = 0.0,
         MotesError: not even one particle for each element does.
     """
     checks.positive_integer("particles_for_period elements", elements)
-    each = math.floor((period / clock - _waiting("particles_for_period", elements, latency, exchange_latency, clock)) / 2)
+    checks.above_zero("particles_for_period period", period, sys.float_info.max)
+    numbers = (latency, exchange_latency, clock)
+    each = math.floor((period / clock - _waiting("particles_for_period", elements, *numbers)) / 2)
+    # by what is rounded it may be one too few, or too many
+    if each >= 0 and sampling_period((each + 1) * elements, elements, *numbers) <= period:
+        each += 1
+    elif each >= 1 and sampling_period(each * elements, elements, *numbers) > period:
+        each -= 1
     if each < 1:
-        least = sampling_period(elements, elements, latency, exchange_latency, clock)
+        least = sampling_period(elements, elements, *numbers)
         checks.refuse("particles_for_period period", f"at least {least:.3g}, what one particle in each element takes", f"{period:.3g}")
     return each * elements
 
@@ -82,7 +98,7 @@ def particles_for_period(period: float, elements: int = 1, latency: float = 0.0,
 def _waiting(asked_by: str, elements: int, latency: float, exchange_latency: float, clock: float) -> float:
     """Return the cycles in which nothing is begun."""
     for name, value in (("latency", latency), ("exchange_latency", exchange_latency)):
-        if not (isinstance(value, (int, float)) and 0 <= value < math.inf):
+        if isinstance(value, bool) or not (isinstance(value, (int, float, np.number)) and 0 <= value < math.inf):
             checks.refuse(f"{asked_by} {name}", "a number of cycles, at least 0", repr(value))
     checks.above_zero(f"{asked_by} clock", clock)
     return latency + (exchange_latency if elements > 1 else 0)

@@ -73,6 +73,8 @@ class AdaptiveSize(Wrapper):
                 checks.refuse(f"AdaptiveSize {name}", "some numbers, in a tuple", getattr(self, name))
         for size in self.sizes:
             checks.positive_integer("AdaptiveSize sizes", size)
+            if (least := self.filter.with_particles(size).particle_count) != size:
+                checks.refuse("AdaptiveSize sizes", f"numbers of particles that the filter can have, such as {least}", size)
         if list(self.sizes) != sorted(set(self.sizes)):
             checks.refuse("AdaptiveSize sizes", "numbers that increase", self.sizes)
         if not all(isinstance(width, (int, float)) and width > 0 for width in self.widths):
@@ -90,7 +92,8 @@ class AdaptiveSize(Wrapper):
         return self.sizes[-1]
 
     def with_particles(self, n: int) -> "AdaptiveSize":
-        """Return the same filter with at most n particles."""
+        """Return the same filter with at most n particles, or as many more as the inner filter needs."""
+        n = self.filter.with_particles(n).particle_count or n
         return replace(self, sizes=(*(size for size in self.sizes if size < n), n))
 
     def _sized(self, n: int) -> Filter:

@@ -1,7 +1,7 @@
 """Several runs as one: filters that shared the load, or filters of several models (Bolic, Djuric, Hong 2005)."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ import numpy as np
 
 from motes.core import checks
 from motes.filters.history import History
+from motes.laws import circular
 
 ALONE = 0.9
 """Weight of one run from which on the others count for little."""
@@ -62,30 +63,58 @@ def combined(histories: Sequence[History], by: str = "evidence") -> Combined:
         MotesError: there is no history, they do not begin at step 0 or differ in length or states, or their filters know no evidence.
     """
     checks.option("combined by", by, ("evidence", "average"))
+    histories = _combinable(histories)
+    evidence = jnp.stack([history.log_evidence for history in histories], axis=1)
+    by_evidence = _log_weights(evidence)
+    equal = jnp.full_like(evidence, -jnp.log(len(histories)))
+    log_evidence = jax.nn.logsumexp(jnp.concatenate([equal[:1], by_evidence[:-1]]) + evidence, axis=1)
+    log_weights = by_evidence if by == "evidence" else equal
+    weights = jnp.exp(log_weights)
+    if by == "evidence" and len(histories) > 1 and checks.is_concrete(weights):
+        _warn(np.asarray(weights))
+    means, covs = (jnp.stack([getattr(history, name) for history in histories], axis=1) for name in ("mean", "cov"))
+    # each run has its angles on a branch of its own
+    means = circular.gathered(jnp.transpose(means, (2, 1, 0)), log_weights.T, histories[0].circular).T
+    mean = jnp.einsum("tr,trx->tx", weights, means)
+    off = means - mean[:, None]
+    cov = jnp.einsum("tr,trxz->txz", weights, covs + off[..., :, None] * off[..., None, :])
+    return Combined(mean, cov, log_evidence, weights)
+
+
+def _combinable(histories: Any) -> list[History]:
+    """Return what can be combined as a list, or refuse it."""
+    if isinstance(histories, History) or not isinstance(histories, Iterable):
+        checks.refuse("combined histories", "a list of what mo.run gave", type(histories).__name__)
     histories = list(histories)
     if not histories:
         checks.refuse("combined histories", "at least one", "none")
     for history in histories:
         checks.instance("combined histories", history, History, "what mo.run gave, or History.load")
+        if np.ndim(history.start):
+            checks.refuse("combined histories", "single runs, one after the other", f"a batch of {np.size(history.start)}")
         if checks.is_concrete(history.start) and int(history.start) != 0:
             hint = "Put pieces together with mo.filters.joined."
             checks.refuse("combined histories", "runs from step 0 on", f"one from step {int(history.start)}", hint)
+    expected = "runs over the same steps, of models with the same states"
     shapes = {tuple(np.shape(history.mean)) for history in histories}
     if len(shapes) > 1:
-        checks.refuse("combined histories", "runs over the same steps, of models with the same states", f"means of shapes {sorted(shapes)}")
-    evidence = jnp.stack([history.log_evidence for history in histories], axis=1)
-    so_far = jnp.cumsum(evidence, axis=0)
-    likelihood = jax.nn.logsumexp(so_far, axis=1) - jnp.log(len(histories))
-    found = jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
-    log_evidence = jnp.concatenate([found[:1], jnp.where(jnp.isfinite(found[:-1]), found[1:] - found[:-1], -jnp.inf)])
-    weights = jax.nn.softmax(so_far, axis=1) if by == "evidence" else jnp.full(evidence.shape, 1 / len(histories))
-    if by == "evidence" and len(histories) > 1 and checks.is_concrete(weights):
-        _warn(np.asarray(weights))
-    means, covs = (jnp.stack([getattr(history, name) for history in histories], axis=1) for name in ("mean", "cov"))
-    mean = jnp.einsum("tr,trx->tx", weights, means)
-    off = means - mean[:, None]
-    cov = jnp.einsum("tr,trxz->txz", weights, covs + off[..., :, None] * off[..., None, :])
-    return Combined(mean, cov, log_evidence, weights)
+        checks.refuse("combined histories", expected, f"means of shapes {sorted(shapes)}")
+    states = {(history.names, history.circular) for history in histories}
+    if len(states) > 1:
+        told = " and ".join(sorted(f"{', '.join(names)} (angles: {list(angles)})" for names, angles in states))
+        checks.refuse("combined histories", expected, f"states {told}")
+    return histories
+
+
+def _log_weights(evidence: jax.Array) -> jax.Array:
+    """Log weights of the runs after each step, `(t, r)`, in proportion to their likelihoods so far; equal where all of these vanish.
+
+    What is added up is how far each stays behind the best of a step: sums of log evidences themselves would leave no digits in long runs.
+    """
+    best = jnp.max(evidence, axis=1, keepdims=True)
+    behind = jnp.cumsum(jnp.where(jnp.isfinite(best), evidence - best, 0), axis=0)
+    lost = jnp.max(behind, axis=1, keepdims=True) == -jnp.inf
+    return jax.nn.log_softmax(jnp.where(lost, 0, behind), axis=1)
 
 
 def _warn(weights: np.ndarray) -> None:

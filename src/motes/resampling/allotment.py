@@ -40,15 +40,16 @@ def allotted(masses: jax.Array, u: jax.Array, n: int) -> Shares:
     """Allot n children to elements in proportion to their masses `(K,)`; u in [0, 1) is where the comb begins."""
     size = masses * (n / jnp.sum(masses))
     floors = jnp.floor(size)
-    fractions = jnp.cumsum(size - floors)
-    before = fractions - (size - floors)
+    # an element without mass leaves what comes before it as it is, to the bit
+    before = jnp.concatenate([jnp.zeros((1,), size.dtype), jnp.cumsum(size - floors)[:-1]])
     carried = jnp.floor(before)
     floors = floors.astype(jnp.int32)
     whole = jnp.cumsum(floors) - floors + carried.astype(jnp.int32)
     part = before - carried
     start = jnp.clip(whole + jnp.ceil(part - u).astype(jnp.int32), 0, n)
-    # sums of rounded numbers must not go down, and the last child is the n-th
-    start = jax.lax.cummax(start.at[0].set(0))
+    # sums of rounded numbers must not go down, and the last child is the n-th: of the last element that has a mass
+    followed = jax.lax.cummax(masses, reverse=True) > 0
+    start = jax.lax.cummax(jnp.where(followed, start, n).at[0].set(0))
     return Shares(whole, part, size, jnp.concatenate([start, jnp.full((1,), n, jnp.int32)]))
 
 
