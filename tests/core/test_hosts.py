@@ -26,7 +26,7 @@ POD = {"JOB_COMPLETION_INDEX": "1", "JAX_COORDINATOR_ADDRESS": "job-0.service:12
     (FOUR | {"OMPI_MCA_orte_hnp_uri": "4096.0;tcp6://[fe80::1,2620::2]:43370"}, "Open MPI", "[fe80::1]", PORTS[1], 8, 5),
     (FIVE | SLURM, "Open MPI 5", "node-01", PORTS[2211 + 977], 2, 0),
     (SLURM | {"JAX_COORDINATOR_ADDRESS": "login:7"}, "Slurm", "login", 7, 4, 3),
-    (HAND | SLURM | TORCH, "variables set by hand", "here", 1234, 3, 2),
+    (HAND | SLURM | TORCH, "a start by hand", "here", 1234, 3, 2),
     (POD, "Kubernetes", "job-0.service", 1234, 2, 1),
 ])  # fmt: skip
 def test_each_launcher_is_known_by_what_it_tells(told, launcher, host, port, count, number):
@@ -53,7 +53,7 @@ def test_what_is_missing_is_named(told, words):
 
 
 def test_one_process_needs_nobody_and_bad_arguments_are_refused():
-    assert mo.join("here:1", 1, 0) == ("variables set by hand", "here:1", 1, 0)
+    assert mo.join("here:1", 1, 0) == ("a start by hand", "here:1", 1, 0)
     for bad in ({"heartbeat": 0}, {"patience": 1.5}):
         with pytest.raises(mo.MotesError, match=f"join {next(iter(bad))}: expected a whole number of at least 1"):
             mo.join("here:1", 1, 0, **bad)

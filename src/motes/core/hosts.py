@@ -102,7 +102,7 @@ def _port(number: int) -> int:
 
 # within an allocation of Slurm the variables of mpirun and torchrun are the nearer ones
 LAUNCHERS = (
-    Launcher("variables set by hand", NUMBER, COUNT, (ADDRESS,), lambda told: told[ADDRESS], f"set {ADDRESS}, {COUNT} and {NUMBER}"),
+    Launcher("a start by hand", NUMBER, COUNT, (ADDRESS,), lambda told: told[ADDRESS], f"set {ADDRESS}, {COUNT} and {NUMBER}"),
     Launcher("torchrun", "RANK", "WORLD_SIZE", ("MASTER_ADDR", "MASTER_PORT"), _of_torchrun,
              "torchrun --nnodes N --nproc-per-node 1 --rdzv-endpoint HOST:PORT --no-python motes ..."),
     Launcher("Open MPI", "OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE", ("OMPI_MCA_orte_hnp_uri",), _of_orte, "mpirun motes ..."),
