@@ -1,5 +1,7 @@
 from . import keep as keep
 from .explain import Explanation as Explanation
+from .forecast import Forecast as Forecast
+from .forecast import Predictive as Predictive
 from .history import joined as joined
 from .info import Info as Info
 from .interface import TwoStageFilter as TwoStageFilter
