@@ -1,13 +1,13 @@
 from . import keep as keep
 from .explain import Explanation as Explanation
-from .forecast import Forecast as Forecast
-from .forecast import Predictive as Predictive
 from .history import joined as joined
 from .info import Info as Info
 from .interface import TwoStageFilter as TwoStageFilter
 from .look_ahead import LookAheadFilter as LookAheadFilter
 from .marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
 from .parallel import run_in_parallel as run_in_parallel
+from .predictive import Forecast as Forecast
+from .predictive import Predictive as Predictive
 from .proposals import Proposal as Proposal
 from .proposals import Proposed as Proposed
 from .run import run_in_chunks as run_in_chunks

@@ -13,6 +13,8 @@ from motes.io.labels import Labels
 _OF_STEPS = ("log_evidence", "ess", "collapsed", "invalid", "nis", "freedom", "alarm", "gated", "lost", "recovered")
 _SHAPES = {"mean": ("state",), "cov": ("state", "state2"), "mode_probabilities": ("mode",), "delayed_mode_probabilities": ("delay", "mode")}
 """Further dimensions of what is kept."""
+SHOWN = 12
+"""So many states are told of in a line."""
 
 
 def dataset(history: Any) -> Any:
@@ -79,6 +81,20 @@ def moments(names: Sequence[str], mean: Any, cov: Any) -> dict[str, np.ndarray]:
             # rounding may leave a variance of a certain state a little below zero
             columns[unused(f"{name}_sd", columns)] = np.sqrt(np.maximum(np.asarray(cov)[..., place, place], 0))
     return columns
+
+
+def in_short(names: Sequence[str], mean: Any, cov: Any) -> str:
+    """Return mean and standard deviation of the states, as people write them, of at most a dozen states.
+
+    Args:
+        names: of the states.
+        mean: `(x,)`.
+        cov: `(x, x)`.
+    """
+    spread = np.sqrt(np.maximum(np.diagonal(np.asarray(cov)), 0))
+    each = list(zip(names, np.asarray(mean), spread, strict=True))
+    more = f" and {len(each) - SHOWN} more" if len(each) > SHOWN else ""
+    return ", ".join(f"{name} {value:.4g} +- {deviation:.2g}" for name, value, deviation in each[:SHOWN]) + more
 
 
 def unused(name: str, columns: dict[str, Any]) -> str:

@@ -10,13 +10,13 @@ import numpy as np
 
 from motes.core import checks, markdown
 from motes.core.logspace import RunningSum
-from motes.core.record import record, replace, static
+from motes.core.record import described, record, replace, static
 from motes.filters import frames
 from motes.filters.history_files import TRAITS, read, stored_labels
 from motes.filters.info import Info
 from motes.filters.keep import after_lag
 from motes.io import archive
-from motes.io.labels import Labels, labels_joined
+from motes.io.labels import Labels, in_words, labels_joined
 from motes.laws.spelled import UnspelledError, spelled
 
 if TYPE_CHECKING:
@@ -113,6 +113,12 @@ class History:
     labels: Labels | None = static(default=None)
     made_by: MadeBy | None = static(default=None)
 
+    def __repr__(self) -> str:
+        """Return what was run and kept, in one line: arrays by type and shape."""
+        size = np.shape(self.info.ess)
+        runs = f"runs={list(size[:-1])}, " if len(size) > 1 else ""
+        return f"History({self.label}, {runs}steps={size[-1] if size else 0}, kept={described(self.kept)})"
+
     def __str__(self) -> str:
         """Print what was run and how it went, one line each."""
         lines = [f"{what:<16}{text}" for what, text in self._facts()]
@@ -127,10 +133,10 @@ class History:
             return []
         ess, first = np.asarray(self.info.ess), int(self.start)
         facts = [("filter", self.label), ("steps", f"{first} to {first + ess.size - 1}")]
+        if self.labels is not None and self.labels.index is not None:
+            facts.append(("times", " to ".join(in_words(self.labels.index[row]) for row in (0, -1))))
         if "mean" in self.kept and "cov" in self.kept:
-            spread = np.sqrt(np.diagonal(np.asarray(self.cov[-1])))
-            each = zip(self.names, np.asarray(self.mean[-1]), spread, strict=True)
-            facts.append(("at the end", ", ".join(f"{name} {value:.4g} +- {deviation:.2g}" for name, value, deviation in each)))
+            facts.append(("at the end", frames.in_short(self.names, self.mean[-1], self.cov[-1])))
         if self.has_evidence:
             facts.append(("log likelihood", f"{float(self.log_likelihood):.6g}"))
         if self.particles:
