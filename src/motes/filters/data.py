@@ -28,10 +28,10 @@ def labelled_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs, Lab
         MotesError: they do not fit; the message says where.
     """
     sensors = dict(checks.instance("run model", model, Model, "a StateSpaceModel or a MixedLinearModel").each_mode()[0].sensor.sensors)
-    ys, found = tabular.split("ys", ys)
+    ys, found = tabular.unlabelled("ys", ys)
     if found is None:
         return *checked_data(model, ys, inputs), None
-    given = [tabular.split("inputs", leaf)[1] for leaf in jax.tree.leaves(tabular.by_name(inputs))]
+    given = [tabular.unlabelled("inputs", leaf)[1] for leaf in jax.tree.leaves(tabular.by_name(inputs))]
     for one in given:
         agree("inputs", "the times of ys", found, one, "Align them first: inputs = inputs.reindex(ys.index).")
     untold_gaps("ys", found)

@@ -103,7 +103,7 @@ def forecast(  # noqa: PLR0913 (a history knows filter and model, but one of a f
     laws = ahead.law.law if isinstance(ahead.law, Carried) else ahead.law
     given = (jax.random.fold_in(key, history.last.step), laws, inputs, ahead.start + jnp.arange(steps, dtype=jnp.int32))
     gaussian = isinstance(laws, (Gaussian, FactoredGaussian))
-    drawn = None if gaussian else _drawn(*given[:2], draws)
+    drawn = None if gaussian else _states_drawn(*given[:2], draws)
     states = Predictive(ahead.mean, ahead.cov, drawn, history.names, labels, ahead.start)
     measured = None if isinstance(last, Observed) or filter.adds_inputs else _of_sensor(model, given, draws)
     if measured is not None:
@@ -139,7 +139,7 @@ def _continued(labels: Labels, inputs: Inputs, steps: int) -> Labels | None:
 
 
 @partial(jitted, static_argnames=("draws",))
-def _drawn(key: jax.Array, laws: Law, draws: int) -> jax.Array:
+def _states_drawn(key: jax.Array, laws: Law, draws: int) -> jax.Array:
     """Draw states of each step, `(h, x, m)`."""
     keys = jax.random.split(random.child(key, random.INITIAL), jax.tree.leaves(laws)[0].shape[0])
     return jax.lax.map(lambda now: now[1].sample(now[0], draws), (keys, laws))
@@ -151,12 +151,12 @@ def _of_sensor(model: Model, given: Any, draws: int) -> tuple[jax.Array, jax.Arr
     if not all(part.sensor.draws for part in model.each_mode()):
         return None
     known = canonical(model, jax.tree.map(one_of, inputs))
-    line = _line(known, laws, at_step(inputs, 0))
+    line = _form_of(known, laws, at_step(inputs, 0))
     gaussian = line == ONE and isinstance(laws, (Gaussian, FactoredGaussian)) and isinstance(known.each_mode()[0].sensor, AdditiveGaussian)
-    return _measured(*given, known, draws, line, gaussian, Beside(known))
+    return _of_each_step(*given, known, draws, line, gaussian, Beside(known))
 
 
-def _line(model: Model, laws: Law, u: Any) -> str:
+def _form_of(model: Model, laws: Law, u: Any) -> str:
     """Tell whether the sensor is a line in the states with noise that does not depend on them: one for all modes, or each its own."""
     sensors, size = [part.sensor for part in model.each_mode()], model.size
 
@@ -176,7 +176,7 @@ def _line(model: Model, laws: Law, u: Any) -> str:
 
 
 @partial(jitted, static_argnames=("draws", "line", "gaussian"))
-def _measured(  # noqa: PLR0913 (what a step is given, and what is known of sensor and laws)
+def _of_each_step(  # noqa: PLR0913 (what a step is given, and what is known of sensor and laws)
     key: jax.Array, laws: Law, inputs: Inputs, steps: jax.Array, model: Model, draws: int, line: str, gaussian: bool, beside: Beside
 ) -> tuple[jax.Array, jax.Array, jax.Array | None]:
     joined = model.as_state_space()

@@ -61,7 +61,7 @@ def frame(history: Any) -> Any:
     """Return what `History.to_pandas` gives."""
     info, columns = history.info, {}
     if "mean" in history.kept:
-        columns |= moments(history.names, history.mean, history.kept.get("cov"))
+        columns |= mean_and_sd(history.names, history.mean, history.kept.get("cov"))
     probabilities = history.kept.get("mode_probabilities")
     if probabilities is not None:
         columns |= {f"mode_{mode}": probabilities[..., mode] for mode in range(probabilities.shape[-1])}
@@ -69,10 +69,10 @@ def frame(history: Any) -> Any:
     for name in ("ess", "log_evidence", "nis", "alarm", "collapsed"):
         if told.get(name, True):
             columns[unused(name, columns)] = getattr(info, name)
-    return table(columns, history.labels, first_step(history), history.times)
+    return as_frame(columns, history.labels, first_step(history), history.times)
 
 
-def moments(names: Sequence[str], mean: Any, cov: Any) -> dict[str, np.ndarray]:
+def mean_and_sd(names: Sequence[str], mean: Any, cov: Any) -> dict[str, np.ndarray]:
     """Return columns of means `(..., t, x)` and, where there are covariances, of standard deviations."""
     columns: dict[str, np.ndarray] = {}
     for place, name in enumerate(names):
@@ -102,7 +102,7 @@ def unused(name: str, columns: dict[str, Any]) -> str:
     return name if name not in columns else next(f"{name}_{again}" for again in count(2) if f"{name}_{again}" not in columns)
 
 
-def table(columns: dict[str, Any], labels: Labels | None, start: int = 0, seconds: Any = None) -> Any:
+def as_frame(columns: dict[str, Any], labels: Labels | None, start: int = 0, seconds: Any = None) -> Any:
     """Return a `pandas.DataFrame` of columns `(..., t)`; those of many runs have their numbers in the first levels of the index.
 
     Args:

@@ -245,10 +245,10 @@ class History:
             "or set on_collapse='predict' or 'inflate'."
         )
 
-    def labelled(self, labels: Labels) -> "History":
-        """Return the history with times of its steps and names of the measured columns."""
+    def labelled(self, labels: Labels | None) -> "History":
+        """Return the history with times of its steps and names of the measured columns, where there are any."""
         # inside of compiled code Unix seconds would be rounded to 32 bits
-        seconds = labels.seconds() if checks.is_concrete(self.info) else None
+        seconds = labels.seconds() if labels is not None and checks.is_concrete(self.info) else self.times
         return replace(self, labels=labels, times=seconds)
 
     def to_xarray(self) -> "Dataset":

@@ -62,7 +62,7 @@ def run_in_parallel(model: Model, ys: Measurements, inputs: Inputs = None) -> Hi
     if checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
         notices.warn(history, None)
-    return history if labels is None else history.labelled(labels)
+    return history.labelled(labels)
 
 
 @jitted

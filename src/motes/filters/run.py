@@ -53,9 +53,8 @@ def run(
         filter: the filter.
         model: state-space, mixed linear or jump-Markov model.
         ys: measurements `(t, y)`, or, of a `Custom` sensor, arrays of any shape and type or trees of them, time axis first, or a list with
-            one for each step; NaN, None, masked and NA mean not measured; the first is of x_0. Tables and series of pandas, polars and
-            xarray keep their times and names. An iterator of measurements, or of lists of several, is gone through in pieces that fit
-            into memory; what `times` gives has inputs and times, too.
+            one for each step; NaN, None, masked and NA mean not measured; the first is of x_0. Tables of pandas, polars and xarray keep
+            times and names. An iterator of measurements, or of lists of them, is gone through in pieces; what `times` gives has inputs.
         inputs: tree with the time axis first, or None; finite numbers in every row.
         keep: what to keep of each law (see `keep`).
         after: history of the steps before, to continue from with the same key; the result equals the uncut run, bit for bit.
@@ -88,9 +87,8 @@ def run(
         raise
     found.last.evidence.remember(found.evidence)
     made_by = MadeBy(filter, model) if checks.is_concrete((parts, ys, inputs)) else None
-    history = History(found.kept, found.info, found.last, found.start, model.names, known.label, engine=found.engine,
-                      circular=model.circular, rounding=found.rounding, made_by=made_by, **filter.traits)  # fmt: skip
-    history = history if labels is None else history.labelled(labels)
+    history = History(found.kept, found.info, found.last, found.start, model.names, known.label, engine=found.engine, made_by=made_by,
+                      circular=model.circular, rounding=found.rounding, **filter.traits).labelled(labels)  # fmt: skip
     if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
     if checks.is_concrete(history.info):
@@ -163,7 +161,7 @@ def run_in_chunks(  # noqa: PLR0913 (those of run, and the length of a chunk)
         piece = slice(begin, begin + chunk)
         rows = jax.tree.map(lambda leaf, piece=piece: leaf[piece], (ys, inputs))
         part = run(key, filter, model, rows[0], rows[1], keep, part)
-        part = part if labels is None else part.labelled(labels.rows(piece))
+        part = part.labelled(labels and labels.rows(piece))
         yield part
 
 

@@ -13,7 +13,7 @@ from motes.io.calendars import calendar
 from motes.io.labels import Labelled, Labels, agree, labels_of
 
 
-def split(argument: str, value: Any) -> tuple[Any, Labels | None]:
+def unlabelled(argument: str, value: Any) -> tuple[Any, Labels | None]:
     """Take labels off data.
 
     Args:
@@ -33,13 +33,13 @@ def split(argument: str, value: Any) -> tuple[Any, Labels | None]:
     if kind is not None:
         return _READERS[kind](argument, value)
     if type(value) is dict and value:
-        parts = {name: split(f"{argument}[{name!r}]", part) for name, part in value.items()}
+        parts = {name: unlabelled(f"{argument}[{name!r}]", part) for name, part in value.items()}
         return {name: part for name, (part, _) in parts.items()}, common(argument, [labels for _, labels in parts.values()])
     return value, None
 
 
 def is_labelled(value: Any) -> bool:
-    """Tell whether `split` takes something off: a table or series of another library, or a dictionary with such in it."""
+    """Tell whether `unlabelled` takes something off: a table or series of another library, or a dictionary with such in it."""
     if type(value) is dict:
         return any(map(is_labelled, value.values()))
     return isinstance(value, Labelled) or _kind(value) is not None
@@ -74,7 +74,7 @@ def filled(ys: Any) -> Labelled:
     Raises:
         MotesError: it has no index, or one that is not regular.
     """
-    values, labels = split("filled ys", ys)
+    values, labels = unlabelled("filled ys", ys)
     if labels is None or labels.index is None or isinstance(values, dict):
         checks.refuse("filled ys", "a table or series with an index of dates or numbers", type(ys).__name__)
     found = calendar(labels.index, labels.zone)
@@ -95,8 +95,9 @@ def _with_columns(labels: Labels | None, columns: tuple[str, ...]) -> Labels | N
 def _pandas(argument: str, value: Any) -> tuple[Any, Labels | None]:
     frame = value if value.ndim == 2 else value.to_frame()
     index, dates = frame.index, [place for place, kind in enumerate(frame.dtypes) if getattr(kind, "kind", "O") == "M"]
+    in_order = len(dates) == 1 and frame.iloc[:, dates[0]].is_monotonic_increasing and frame.iloc[:, dates[0]].is_unique
     plain = type(index).__name__ == "RangeIndex" and index.start == 0 and index.step == 1
-    if plain and len(dates) == 1 and frame.shape[1] > 1:
+    if plain and in_order and frame.shape[1] > 1:
         # pandas' own index of dates, without pandas being imported here
         index = frame.iloc[:, dates].set_index(frame.columns[dates[0]]).index
         frame, plain = frame.iloc[:, [place for place in range(frame.shape[1]) if place != dates[0]]], False
@@ -106,8 +107,7 @@ def _pandas(argument: str, value: Any) -> tuple[Any, Labels | None]:
     labels = None if plain else _of_pandas_index(argument, index)
     names = [" ".join(map(str, name)) if isinstance(name, tuple) else str(name) for name in frame.columns]
     unnamed = type(frame.columns).__name__ == "RangeIndex" or (value.ndim == 1 and value.name is None)
-    columns = [checks.as_numbers(_of(argument, name, value.ndim == 2), frame.iloc[:, place]) for place, name in enumerate(names)]
-    return _side_by_side(columns, len(frame)), _with_columns(labels, () if unnamed else tuple(names))
+    return checks.as_numbers(argument, frame, "real numbers, shape (t, y)"), _with_columns(labels, () if unnamed else tuple(names))
 
 
 def _of_pandas_index(argument: str, index: Any) -> Labels | None:
@@ -130,16 +130,8 @@ def _polars(argument: str, value: Any) -> tuple[Any, Labels | None]:
         stamps = stamps.dt.convert_time_zone("UTC").dt.replace_time_zone(None) if zone else stamps
         labels = labels_of(argument, stamps.to_numpy(), dates[0], zone or "")
     names = [name for name in value.columns if name not in (dates if len(dates) == 1 else ())]
-    columns = [checks.as_numbers(_of(argument, name, True), value[name].to_numpy()) for name in names]
-    return _side_by_side(columns, value.height), _with_columns(labels, tuple(names))
-
-
-def _of(argument: str, column: str, several: bool) -> str:
-    return f"{argument} column {column!r}" if several else argument
-
-
-def _side_by_side(columns: list[Any], rows: int) -> np.ndarray:
-    return np.stack([np.asarray(column) for column in columns], axis=1) if columns else np.zeros((rows, 0))
+    columns = [np.asarray(checks.as_numbers(f"{argument} column {name!r}", value[name].to_numpy())) for name in names]
+    return np.stack(columns, axis=1) if columns else np.zeros((value.height, 0)), _with_columns(labels, tuple(names))
 
 
 def _time_axis(value: Any) -> str | None:
@@ -183,9 +175,25 @@ def by_name(value: Any) -> Any:
 
 
 def plain(argument: str, value: Any) -> Any:
-    """Return the numbers of data without labels; a series stays one row of numbers, `(t,)`. See `split`."""
-    found, _ = split(argument, value)
+    """Return the numbers of data without labels; a series stays one row of numbers, `(t,)`. See `unlabelled`."""
+    found, _ = unlabelled(argument, value)
     return found[:, 0] if found is not value and _kind(value) is not None and len(value.shape) == 1 else found
+
+
+def by_columns(argument: str, value: Any, names: tuple[str, ...]) -> Any:
+    """Return the numbers of a table, `(t, x)`: the columns of these names in this order where it has them; anything else as it is.
+
+    Args:
+        argument: what it is called in messages.
+        value: a table or series of another library, or an array.
+        names: of the columns.
+
+    Raises:
+        MotesError: it holds something that is no number.
+    """
+    found, labels = unlabelled(argument, value)
+    columns = () if labels is None else labels.columns
+    return found[:, [columns.index(name) for name in names]] if set(names) <= set(columns) else found
 
 
 _READERS = {

@@ -57,7 +57,7 @@ def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensor
         stamped = stamps if isinstance(stamps, Labels) else labels_of("times stamps", stamps)
         stamped = None if stamped is None or not stamped.are_times else stamped
         start, seconds = instants.times(stamped.index if isinstance(stamps, Labels) else stamps, name="times stamps")
-        ys, own = tabular.split("times ys", ys)
+        ys, own = tabular.unlabelled("times ys", ys)
         if own is not None and own.columns and stamped is not None:
             stamped = replace(stamped, columns=own.columns)
         return Timeline(ys, _with_steps(inputs, _counted("times ys", ys, seconds)), seconds, start, stamped)
@@ -81,7 +81,7 @@ def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensor
 
 def _own_times(name: str, ys: Any) -> tuple[Labels, Any]:
     """Return the labels of a table or series that has times, and its numbers."""
-    found, own = tabular.split(name, ys)
+    found, own = tabular.unlabelled(name, ys)
     if own is None or own.index is None:
         checks.refuse(name, "a table or series with an index of times, or stamps beside it", type(ys).__name__)
     return own, found

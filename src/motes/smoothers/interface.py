@@ -57,10 +57,10 @@ class Smoothed:
 
         Columns: mean and standard deviation of each state (`px`, `px_sd`), and probabilities of modes where there are modes.
         """
-        columns = frames.moments(self.names, self.mean, self.cov)
+        columns = frames.mean_and_sd(self.names, self.mean, self.cov)
         if self.mode_probabilities is not None:
             columns |= {f"mode_{mode}": self.mode_probabilities[..., mode] for mode in range(self.mode_probabilities.shape[-1])}
-        return frames.table(columns, self.labels, frames.first_step(self))
+        return frames.as_frame(columns, self.labels, frames.first_step(self))
 
     def __str__(self) -> str:
         """Print what was smoothed, one line each."""
