@@ -97,6 +97,14 @@ def in_short(names: Sequence[str], mean: Any, cov: Any) -> str:
     return ", ".join(f"{name} {value:.4g} +- {deviation:.2g}" for name, value, deviation in each[:SHOWN]) + more
 
 
+def stream_facts(stream: Any) -> list[tuple[str, str]]:
+    """Return filter and step of a stream, the law as it is and the log likelihood, each with its name."""
+    if not stream.has_begun:
+        return [("filter", repr(stream.filter)), ("step", "0, before its measurement")]
+    facts = [("filter", repr(stream.filter)), ("step", str(stream.t)), ("now", in_short(stream.model.names, stream.mean, stream.cov))]
+    return [*facts, ("log likelihood", f"{float(stream.log_likelihood):.6g}")] if stream.filter.has_evidence else facts
+
+
 def unused(name: str, columns: dict[str, Any]) -> str:
     """Return a name of a column that is not there yet."""
     return name if name not in columns else next(f"{name}_{again}" for again in count(2) if f"{name}_{again}" not in columns)

@@ -13,7 +13,7 @@ from motes.core import checks, markdown, random
 from motes.core.packed import Packed
 from motes.core.types import Inputs, KeyLike
 from motes.filters.data import checked_data, is_array, refuse_infinite
-from motes.filters.frames import in_short
+from motes.filters.frames import stream_facts
 from motes.filters.history import Carry, History, ask_evidence
 from motes.filters.history_files import measurement_form
 from motes.filters.info import Info
@@ -210,19 +210,15 @@ class Stream:
 
     def __repr__(self) -> str:
         """Return where the stream stands, in one line."""
-        return f"Stream({', '.join(f'{what} {text}' for what, text in self._facts())})"
+        return f"Stream({', '.join(f'{what} {text}' for what, text in stream_facts(self))})"
 
     def _repr_markdown_(self) -> str:
-        return markdown.table(("", "stream"), self._facts())
+        return markdown.table(("", "stream"), stream_facts(self))
 
-    def _facts(self) -> list[tuple[str, str]]:
-        """Return filter, step, and the law as it is, each with its name."""
-        facts = [("filter", repr(self.filter)), ("step", str(self.t) if self._held is not None else "0, before its measurement")]
-        if self._held is not None:
-            facts.append(("now", in_short(self.model.names, self.mean, self.cov)))
-        if self._held is not None and self.filter.has_evidence:
-            facts.append(("log likelihood", f"{float(self.log_likelihood):.6g}"))
-        return facts
+    @property
+    def has_begun(self) -> bool:
+        """Whether anything was measured."""
+        return self._held is not None
 
     @property
     def t(self) -> int:

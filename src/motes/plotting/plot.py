@@ -19,7 +19,7 @@ from motes.plotting.history import history_figure
 from motes.plotting.law import components, law_figure
 from motes.plotting.plan import plan_figure
 from motes.plotting.study import study_figure
-from motes.plotting.track import track_figure
+from motes.plotting.track import plane_figure
 from motes.smoothers.interface import Smoothed
 from motes.studies.result import StudyResult
 
@@ -49,7 +49,7 @@ def plot(result: Any, truth: Any = None, bound: Any = None, states: Sequence[str
     """
     if isinstance(result, (History, Smoothed)):
         chosen = _chosen(states, result.names)
-        figure = track_figure if chosen is not None and len(chosen) == 2 else history_figure
+        figure = plane_figure if chosen is not None and len(chosen) == 2 else history_figure
         return figure(result, truth, tuple(range(len(result.names))) if chosen is None else chosen)  # type: ignore[arg-type]
     if isinstance(result, Forecast):
         return forecast_figure(result, truth, _chosen(states, result.states.names))

@@ -14,7 +14,7 @@ ELLIPSES = 16
 """So many moments have an ellipse."""
 
 
-def track_figure(result: History | Smoothed, truth: Any, states: tuple[int, int]) -> Any:
+def plane_figure(result: History | Smoothed, truth: Any, states: tuple[int, int]) -> Any:
     """Draw the mean of one state over that of another.
 
     Args:
