@@ -77,7 +77,9 @@ def calendar(index: np.ndarray, zone: str = "") -> tuple[Calendar, np.ndarray] |
         return None
     if index.dtype.kind != "M":
         return _even(index, "number" if index.dtype.kind != "m" else "time")
-    for clock in ("", zone) if zone and zone != "UTC" else ("",):
+    # days of a zone are not all as long: its own clock goes first where steps are long
+    long = bool((np.diff(index) > np.timedelta64(20, "h")).all())
+    for clock in ("",) if zone in ("", "UTC") else (zone, "") if long else ("", zone):
         local = _to_clock(index, clock) if clock else index
         found = None if local is None else _weekdays(local) or _even(local, "time") or _months(local)
         if found is not None:
