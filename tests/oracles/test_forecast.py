@@ -66,7 +66,8 @@ def test_modes_agree_with_the_sum_over_all_paths(double):
     parts = [(w, s, m, P) for w, s, m, P in zip(np.asarray(law.weights), np.asarray(law.part_modes), law.parts.center[0],
                                                 law.parts.covariance[0, 0], strict=True) if w > 0]  # fmt: skip
     for step in range(2):
-        parts = [(w * transition[s, z], z, a * m, a * a * P + q) for w, s, m, P in parts for z, (a, q) in enumerate([(0.9, 0.1), (-0.5, 1.0)])]
+        moves = enumerate([(0.9, 0.1), (-0.5, 1.0)])
+        parts = [(w * transition[s, z], z, a * m, a * a * P + q) for z, (a, q) in moves for w, s, m, P in parts]
         w, h = np.array([part[0] for part in parts]), np.array([(1.0, 2.0)[part[1]] for part in parts])
         m, P = (np.array([part[place] for part in parts]) for place in (2, 3))
         mean = w @ (h * m)
@@ -81,9 +82,13 @@ def test_what_cannot_be_forecast_is_refused(tmp_path):
     assert np.array_equal(mo.forecast(again, 3, filter=mo.KalmanFilter(), model=model).mean, mo.forecast(history, 3).mean)
     many = jax.vmap(lambda y: mo.run(0, mo.KalmanFilter(), model, y))(np.ones((2, 4, 1)))
     assert jax.vmap(lambda one: mo.forecast(one, 3, filter=mo.KalmanFilter(), model=model))(many).mean.shape == (2, 3, 1)
-    for words, call in {"knows its filter and model": lambda: mo.forecast(again, 3), "at least 1": lambda: mo.forecast(history, 0),
-                        "expected one run, got 2": lambda: mo.forecast(many, 3), "inputs: expected none": lambda: mo.forecast(history, 2, np.ones(2)),
-                        }.items():  # fmt: skip
+    calls = {
+        "knows its filter and model": lambda: mo.forecast(again, 3),
+        "at least 1": lambda: mo.forecast(history, 0),
+        "expected one run, got 2": lambda: mo.forecast(many, 3),
+        "inputs: expected none": lambda: mo.forecast(history, 2, np.ones(2)),
+    }
+    for words, call in calls.items():
         with pytest.raises(mo.MotesError) as error:
             call()
         refused(error, words)
