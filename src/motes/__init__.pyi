@@ -37,6 +37,7 @@ from .filters.distributed import Distributed as Distributed
 from .filters.ensemble_kalman import EnsembleKalmanFilter as EnsembleKalmanFilter
 from .filters.explain import explain as explain
 from .filters.extended_kalman import ExtendedKalmanFilter as ExtendedKalmanFilter
+from .filters.forecast import forecast as forecast
 from .filters.gauss_hermite import GaussHermiteFilter as GaussHermiteFilter
 from .filters.gaussian import GaussianFilter as GaussianFilter
 from .filters.gaussian_particle import GaussianParticleFilter as GaussianParticleFilter

@@ -51,7 +51,7 @@ def test_what_prints_shows_in_a_notebook_too(histories):
         assert words in one._repr_markdown_() and len({line.replace(r"\|", "").count("|") for line in lines[:3]}) == 1, words
     explained = mo.explain(mo.KalmanFilter(), STEADY)
     assert f"\n{explained}\n" in explained._repr_markdown_()
-    assert not hasattr(STEADY, "_repr_markdown_")
+    assert "px, vx" in STEADY._repr_markdown_() and "needs" in mo.ParticleFilter(n=3)._repr_markdown_()
 
 
 def test_pictures_show_in_a_notebook(histories):

@@ -30,13 +30,14 @@ def is_function(value: object) -> bool:
 def record(cls: type[T]) -> type[T]:
     """Make a class a record: a frozen dataclass registered with JAX as a tree.
 
-    A class that writes its own `__init__` keeps it. Rebuilding inside JAX bypasses `__init__` and its checks, since JAX may put
-    placeholders where arrays were.
+    A class that writes its own `__init__` or `__repr__` keeps it. Rebuilding inside JAX bypasses `__init__` and its checks, since JAX may
+    put placeholders where arrays were.
     """
     own_init = "__init__" in cls.__dict__
     cls.__eq__ = _equal
     cls.__hash__ = _hash
-    cls.__repr__ = _describe
+    if "__repr__" not in cls.__dict__:
+        cls.__repr__ = _describe
     if "__str__" in cls.__dict__ and "_repr_markdown_" not in cls.__dict__:
         cls._repr_markdown_ = _in_a_notebook  # type: ignore[attr-defined]
     made = dataclasses.dataclass(frozen=True, init=not own_init, eq=False, repr=False)(cls)
@@ -120,27 +121,30 @@ def _in_a_notebook(self: Any) -> str:
     return f"```text\n{self}\n```"
 
 
+def described(value: Any) -> str:
+    """Return a value, or a tree of them, in one line: arrays of more than eight numbers by type and shape."""
+    if isinstance(value, Tracer):
+        return str(value.aval)
+    if isinstance(value, (jax.Array, np.ndarray)):
+        return _of_array(np.asarray(value))
+    if is_function(value):
+        return getattr(value, "__qualname__", repr(value))
+    if type(value) is dict:
+        return f"{{{', '.join(f'{name!r}: {described(part)}' for name, part in value.items())}}}"
+    if type(value) in (list, tuple):
+        inside = ", ".join(map(described, value))
+        return f"[{inside}]" if type(value) is list else f"({inside}{',' * (len(value) == 1)})"
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return f"{type(value).__name__}({', '.join(f'{name}={described(part)}' for name, part in value._asdict().items())})"  # type: ignore[attr-defined]
+    return repr(value)
+
+
+def _of_array(array: np.ndarray) -> str:
+    if array.size <= 8:
+        return np.array2string(array, precision=4, separator=", ").replace("\n", "")
+    return f"{array.dtype}[{','.join(map(str, array.shape))}]"
+
+
 def _describe(self: Any) -> str:
-    def of_array(array: np.ndarray) -> Any:
-        if array.size <= 8:
-            return np.array2string(array, precision=4, separator=", ").replace("\n", "")
-        return f"{array.dtype}[{','.join(map(str, array.shape))}]"
-
-    def text(value: Any) -> str:
-        if isinstance(value, Tracer):
-            return str(value.aval)
-        if isinstance(value, (jax.Array, np.ndarray)):
-            return of_array(np.asarray(value))
-        if is_function(value):
-            return getattr(value, "__qualname__", repr(value))
-        if type(value) is dict:
-            return f"{{{', '.join(f'{name!r}: {text(part)}' for name, part in value.items())}}}"
-        if type(value) in (list, tuple):
-            inside = ", ".join(map(text, value))
-            return f"[{inside}]" if type(value) is list else f"({inside}{',' * (len(value) == 1)})"
-        if isinstance(value, tuple) and hasattr(value, "_asdict"):
-            return f"{type(value).__name__}({', '.join(f'{name}={text(part)}' for name, part in value._asdict().items())})"  # type: ignore[attr-defined]
-        return repr(value)
-
-    shown = ", ".join(f"{f.name}={text(getattr(self, f.name))}" for f in dataclasses.fields(self))
+    shown = ", ".join(f"{f.name}={described(getattr(self, f.name))}" for f in dataclasses.fields(self))
     return f"{type(self).__name__}({shown})"

@@ -9,6 +9,7 @@ from scipy.special import gammaincinv, ndtri
 
 from motes.core import checks, linalg
 from motes.filters.history import History
+from motes.io.tabular import by_columns
 from motes.laws.circular import wrap
 
 
@@ -53,12 +54,13 @@ def nees(history: History, truth: ArrayLike, angles: tuple[int, ...] = ()) -> ja
 
     Args:
         history: with means and covariances.
-        truth: true states `(t, x)`.
+        truth: true states `(t, x)`, an array or a table.
         angles: states that are angles in radians, beside those that the dynamics of the run declare.
 
     Raises:
         MotesError: truth has another shape.
     """
+    truth = by_columns("nees truth", truth, history.names)
     checks.shape("nees truth", truth, history.mean.shape, "(steps, states)")
     return normalized_errors(_errors("nees truth", history, truth, angles).T, jnp.moveaxis(history.cov, 0, -1))
 
@@ -85,6 +87,7 @@ def coverage(history: History, truth: ArrayLike, level: float = 0.95) -> jax.Arr
     Raises:
         MotesError: truth has another shape, or the level does not lie between 0 and 1.
     """
+    truth = by_columns("coverage truth", truth, history.names)
     checks.shape("coverage truth", truth, history.mean.shape, "(steps, states)")
     checks.probability("coverage level", level)
     widest = float(ndtri(0.5 + level / 2)) * jnp.sqrt(jnp.diagonal(history.cov, axis1=1, axis2=2))

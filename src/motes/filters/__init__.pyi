@@ -6,6 +6,8 @@ from .interface import TwoStageFilter as TwoStageFilter
 from .look_ahead import LookAheadFilter as LookAheadFilter
 from .marginalized import RaoBlackwellizedParticleFilter as RaoBlackwellizedParticleFilter
 from .parallel import run_in_parallel as run_in_parallel
+from .predictive import Forecast as Forecast
+from .predictive import Predictive as Predictive
 from .proposals import Proposal as Proposal
 from .proposals import Proposed as Proposed
 from .run import run_in_chunks as run_in_chunks

@@ -9,18 +9,47 @@ import numpy as np
 
 from motes.core import checks
 from motes.core.types import Inputs
+from motes.io import tabular
+from motes.io.labels import Labels, agree, untold_gaps
 from motes.laws.observed import Observed
 from motes.models.interface import Model
 from motes.models.state_space import checked_inputs
 
 
+def labelled_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs, Labels | None]:
+    """Return measurements and inputs as arrays, and what stands beside the measurements, or refuse what does not fit.
+
+    Args:
+        model: that they are of.
+        ys: as `checked_data` takes them.
+        inputs: likewise; where they have times of their own, these must be those of the measurements.
+
+    Raises:
+        MotesError: they do not fit; the message says where.
+    """
+    sensors = dict(checks.instance("run model", model, Model, "a StateSpaceModel or a MixedLinearModel").each_mode()[0].sensor.sensors)
+    ys, found = tabular.unlabelled("ys", ys)
+    if found is None:
+        return *checked_data(model, ys, inputs), None
+    given = [tabular.unlabelled("inputs", leaf)[1] for leaf in jax.tree.leaves(tabular.by_name(inputs))]
+    for one in given:
+        agree("inputs", "the times of ys", found, one, "Align them first: inputs = inputs.reindex(ys.index).")
+    untold_gaps("ys", found)
+    if sensors and found.columns and set(found.columns) <= set(sensors) and not isinstance(ys, Mapping):
+        ys = {name: ys[:, [place]] for place, name in enumerate(found.columns)}
+    return *checked_data(model, ys, inputs), found
+
+
 def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     """Return measurements and inputs as arrays, or refuse what does not fit; see `run`.
 
-    Measurements are an array `(t, y)` in the model's type, or `Observed` with the time axis first.
+    Measurements are an array `(t, y)` in the model's type, or `Observed` with the time axis first. Tables and series of other libraries
+    lose their labels here, once they were asked whether rows are missing; `labelled_data` gives them, too.
     """
     dtype = checks.instance("run model", model, Model, "a StateSpaceModel or a MixedLinearModel").dtype
     sensors = [part.sensor for part in model.each_mode()]
+    if tabular.is_labelled(ys):
+        return labelled_data(model, ys, inputs)[:2]
     ys = sensors[0].packed(ys)
     if isinstance(ys, Observed):
         ys = jax.tree.map(lambda leaf: _numbers("ys", leaf, dtype) if _is_real(leaf) else leaf, ys)

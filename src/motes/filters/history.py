@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -10,18 +10,20 @@ import numpy as np
 
 from motes.core import checks, markdown
 from motes.core.logspace import RunningSum
-from motes.core.record import record, replace, static
-from motes.filters.history_files import check_forms, recorded
+from motes.core.record import described, record, replace, static
+from motes.filters import frames
+from motes.filters.history_files import TRAITS, read, stored_labels
 from motes.filters.info import Info
 from motes.filters.keep import after_lag
 from motes.io import archive
-from motes.laws.observed import Observed
-from motes.laws.spelled import UnspelledError, restored, spelled
+from motes.io.labels import Labels, in_words, labels_joined
+from motes.laws.spelled import UnspelledError, spelled
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset
 
 _KEPT_BY = {"law": "laws", "mode_probabilities": "modes", "delayed_mode_probabilities": "modes(lag=...)"}
-_TRAITS = ("has_evidence", "weighs", "subtracts", "particles", "engine", "descends")
-"""What a file says of the filter beside its name; files of version 0.1 have not all of it."""
-
 
 @record
 class Carry:
@@ -44,6 +46,30 @@ class Carry:
     step: jax.Array
 
 
+class MadeBy:
+    """Filter and model of a run, which a history remembers so that it can be forecast; no part of what is compiled for a history.
+
+    Two are equal where filter and model are. The hash is cheap, as models can hold maps.
+    """
+
+    __slots__ = ("filter", "model")
+
+    def __init__(self, filter: Any, model: Any):
+        """Take both."""
+        self.filter, self.model = filter, model
+
+    def __eq__(self, other: object) -> bool:
+        """Compare by value, unless they are the very same."""
+        if not isinstance(other, MadeBy):
+            return NotImplemented
+        same = self.filter is other.filter and self.model is other.model
+        return same or (self.filter == other.filter and self.model == other.model)
+
+    def __hash__(self) -> int:
+        """Hash by their kinds."""
+        return hash((type(self.filter), type(self.model)))
+
+
 @record
 class History:
     """What a run gives.
@@ -64,7 +90,9 @@ class History:
         descends: whether each particle of a cloud came from the one that it names as its ancestor.
         rounding: how coarse numbers are beside the noise (`filters/precision.py`), `(2, y)`; of joined pieces the largest; None in
             files of version 0.1.
-        times: of the steps, seconds, float64 `(t,)` (of dates Unix seconds), where measurements came with them (`times`); otherwise None.
+        times: of the steps, seconds, float64 `(t,)` (of dates Unix seconds), where measurements came with them; otherwise None.
+        labels: times of the steps as they were given, names of the measured columns; None where measurements had neither.
+        made_by: filter and model; None of a file, and where they were not known when the run was compiled.
     """
 
     kept: dict[str, Any]
@@ -82,6 +110,14 @@ class History:
     descends: bool = static(default=True)
     rounding: jax.Array | None = None
     times: Any = None
+    labels: Labels | None = static(default=None)
+    made_by: MadeBy | None = static(default=None)
+
+    def __repr__(self) -> str:
+        """Return what was run and kept, in one line: arrays by type and shape."""
+        size = np.shape(self.info.ess)
+        runs = f"runs={list(size[:-1])}, " if len(size) > 1 else ""
+        return f"History({self.label}, {runs}steps={size[-1] if size else 0}, kept={described(self.kept)})"
 
     def __str__(self) -> str:
         """Print what was run and how it went, one line each."""
@@ -97,10 +133,10 @@ class History:
             return []
         ess, first = np.asarray(self.info.ess), int(self.start)
         facts = [("filter", self.label), ("steps", f"{first} to {first + ess.size - 1}")]
+        if self.labels is not None and self.labels.index is not None:
+            facts.append(("times", " to ".join(in_words(self.labels.index[row]) for row in (0, -1))))
         if "mean" in self.kept and "cov" in self.kept:
-            spread = np.sqrt(np.diagonal(np.asarray(self.cov[-1])))
-            each = zip(self.names, np.asarray(self.mean[-1]), spread, strict=True)
-            facts.append(("at the end", ", ".join(f"{name} {value:.4g} +- {deviation:.2g}" for name, value, deviation in each)))
+            facts.append(("at the end", frames.in_short(self.names, self.mean[-1], self.cov[-1])))
         if self.has_evidence:
             facts.append(("log likelihood", f"{float(self.log_likelihood):.6g}"))
         if self.particles:
@@ -209,26 +245,27 @@ class History:
             "or set on_collapse='predict' or 'inflate'."
         )
 
-    def to_xarray(self) -> Any:
-        """Return an `xarray.Dataset` with dimensions time, state and state2; needs the extra `results`."""
-        xarray = checks.need("xarray", "results")
-        steps = int(self.start) + np.arange(np.shape(self.info.ess)[0]) if self.times is None else np.asarray(self.times)
-        data: dict[str, Any] = {}
-        if "mean" in self.kept:
-            data["mean"] = (("time", "state"), np.asarray(self.mean))
-        if "cov" in self.kept:
-            data["cov"] = (("time", "state", "state2"), np.asarray(self.cov))
-        if "mode_probabilities" in self.kept:
-            data["mode_probabilities"] = (("time", "mode"), np.asarray(self.mode_probabilities))
-        if "delayed_mode_probabilities" in self.kept:
-            data["delayed_mode_probabilities"] = (("time", "delay", "mode"), np.asarray(self.delayed_mode_probabilities))
-        for name in ("log_evidence", "ess", "collapsed", "invalid", "nis", "freedom", "alarm", "gated", "lost", "recovered"):
-            data[name] = (("time",), np.asarray(getattr(self.info, name)))
-        names = list(self.names)
-        attributes = archive.provenance() | {"filter": self.label, "engine": self.engine}
-        if self.has_evidence:
-            data["log_likelihood"] = ((), np.asarray(self.log_likelihood))
-        return xarray.Dataset(data, coords={"time": steps, "state": names, "state2": names}, attrs=attributes)
+    def labelled(self, labels: Labels | None) -> "History":
+        """Return the history with times of its steps and names of the measured columns, where there are any."""
+        # inside of compiled code Unix seconds would be rounded to 32 bits
+        seconds = labels.seconds() if labels is not None and checks.is_concrete(self.info) else self.times
+        return replace(self, labels=labels, times=seconds)
+
+    def to_xarray(self) -> "Dataset":
+        """Return an `xarray.Dataset` with dimensions time, state and state2, and run where it is of many runs (extra `results`).
+
+        Dates are dates, in UTC where they had a time zone (`attrs["zone"]`); other times are seconds; steps where there are no times.
+        """
+        return frames.dataset(self)
+
+    def to_pandas(self) -> "DataFrame":
+        """Return a `pandas.DataFrame` with a row for each step, indexed as the measurements were (extra `results`).
+
+        Columns: mean and standard deviation of each state (`px`, `px_sd`), probabilities of modes where they were kept, effective sample
+        size, log evidence, squared innovation, whether the alarm rang and whether all weights vanished. Of many runs (by `jax.vmap`) the
+        first levels of the index are their numbers.
+        """
+        return frames.frame(self)
 
     def save(self, path: str | Path) -> Path:
         """Write to a NetCDF (`.nc`, extra `results`) or NumPy (`.npz`) file, whole or not at all; no pickle.
@@ -243,8 +280,9 @@ class History:
             return archive.write_dataset(path, self.to_xarray())
         if path.suffix == ".npz":
             texts = {"names": list(self.names), "filter": self.label, "circular": list(self.circular)}
-            texts |= {name: getattr(self, name) for name in _TRAITS} | {"forms": self._forms()}
-            return archive.write_tree(path, self._data(), texts, kind="history")
+            texts |= {name: getattr(self, name) for name in TRAITS} | {"forms": self._forms()}
+            index, words = stored_labels(self.labels)
+            return archive.write_tree(path, self._data() | {"index": index}, texts | words, kind="history")
         checks.refuse(str(path), "a name that ends in .nc or .npz", path.suffix or "no ending", error=checks.FileError)
 
     def _data(self) -> dict[str, Any]:
@@ -270,34 +308,8 @@ class History:
         Raises:
             FileError: the file is no history, or is damaged.
         """
-        path = Path(path)
-        if path.suffix == ".nc":
-            checks.refuse(str(path), "a history saved as .npz", "a NetCDF file, which xarray.open_dataset reads",
-                          "Save with history.save('run.npz') to load it.", checks.FileError)
-        tree, texts = archive.read_tree(path, "history", lambda forms, texts: check_forms(path, forms, texts))
-        mean = tree.get("kept", {}).get("mean", np.zeros(()))
-        if not isinstance(mean, dict) and not np.isfinite(mean).all():
-            checks.refuse(f"{path}: kept/mean", "finite numbers", "NaN or infinite ones", "Restore it from a copy.", checks.FileError)
-        info = recorded(tree["info"])
-        last = dict(tree["last"])
-        evidence = RunningSum(**{name: jnp.asarray(value) for name, value in last.pop("evidence").items()})
-        y = last["y"]
-        y = Observed(jax.tree.map(jnp.asarray, y.get("value")), jnp.asarray(y["there"])) if isinstance(y, dict) else jnp.asarray(y)
-        suspicion = jnp.asarray(last.get("suspicion", 0.0), evidence.total.dtype)
-        forms = texts.get("forms", {})
-        try:
-            kept = restored(forms["kept"], tree.get("kept", {})) if "kept" in forms else tree.get("kept", {})
-            state = restored(forms["state"], last.get("state")) if "state" in forms else last.get("state")
-        except UnspelledError as reason:
-            checks.refuse(f"{path}: forms", "those of its arrays", str(reason)[:200], "Restore it from a copy.", checks.FileError)
-        if isinstance(state, dict) or isinstance(kept.get("law"), dict):
-            checks.warn(f"{path}: its laws are of a kind that files of this version do not name; they come back as dictionaries of arrays. "
-                        "The history can be continued, but not smoothed, and diagnose sees no weights.")
-        carry = Carry(state, evidence, suspicion, y, last.get("u"), jnp.asarray(last["step"]))
-        traits = {name: texts[name] for name in _TRAITS if name in texts}
-        rest = (jnp.asarray(tree["start"]), tuple(texts["names"]), texts["filter"])
-        traits |= {"circular": tuple(texts.get("circular", ())), "rounding": tree.get("rounding"), "times": tree.get("times")}
-        return cls(kept, info, carry, *rest, **traits)
+        fields, last = read(Path(path))
+        return cls(last=Carry(**last), **fields)
 
 
 def ask_evidence(asked: str, has_evidence: bool, label: str) -> None:
@@ -313,7 +325,8 @@ def joined(pieces: Sequence[History]) -> History:
     kept, info = jax.tree.map(_end_to_end, *[(piece.kept, piece.info) for piece in pieces])
     rounding = jax.tree.map(_largest, *[piece.rounding for piece in pieces])
     times = None if any(piece.times is None for piece in pieces) else np.concatenate([piece.times for piece in pieces])
-    return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start, rounding=rounding, times=times)
+    labels = labels_joined([piece.labels for piece in pieces])
+    return replace(pieces[-1], kept=kept, info=info, start=pieces[0].start, rounding=rounding, times=times, labels=labels)
 
 
 def _end_to_end(*parts: Any) -> jax.Array:

@@ -7,8 +7,8 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks, random
-from motes.core.record import record, replace, static, values
+from motes.core import checks, markdown, random
+from motes.core.record import described, record, replace, static, values
 from motes.filters import alarm
 from motes.filters.info import Info
 from motes.laws.observed import is_nothing
@@ -86,6 +86,12 @@ class Filter(ABC):
                 expected = "a probability between 0 and 1, such as 0.9999, a dictionary of such by sensor, or None"
                 checks.refuse(f"{type(self).__name__} gate", expected, repr(gate if name == "" else {name: gate}))
         self.check_parameters()
+
+    def _repr_markdown_(self) -> str:
+        guide = self.guide
+        rows = [*((name, described(value)) for name, value in values(self).items()), ("needs", guide.needs), ("cost of a step", guide.cost),
+                ("use", guide.use)]  # fmt: skip
+        return markdown.table((type(self).__name__, ""), rows)
 
     def with_gate(self, gate: float | None) -> "Filter":
         """Return the same filter with another gate."""

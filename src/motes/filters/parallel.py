@@ -16,7 +16,7 @@ from motes.core.loop import with_first
 from motes.core.record import replace
 from motes.core.types import Inputs, Measurements
 from motes.filters import alarm, keep, notices, precision
-from motes.filters.data import checked_data
+from motes.filters.data import labelled_data
 from motes.filters.history import Carry, History
 from motes.filters.info import single
 from motes.filters.needs import as_linear_model
@@ -50,7 +50,7 @@ def run_in_parallel(model: Model, ys: Measurements, inputs: Inputs = None) -> Hi
         MotesError: the model is not linear-Gaussian, or measurements and inputs do not fit it.
         CollapseError: a measurement lies beyond all reason (outside jit only).
     """
-    ys, inputs = checked_data(model, ys, inputs)
+    ys, inputs, labels = labelled_data(model, ys, inputs)
     known = canonical(model, jax.tree.map(one_of, inputs), one_of(ys))
     exact, *found = _run(known, ys, inputs, Beside(known))
     if checks.is_concrete(exact) and bool(exact.any()):
@@ -62,7 +62,7 @@ def run_in_parallel(model: Model, ys: Measurements, inputs: Inputs = None) -> Hi
     if checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
         notices.warn(history, None)
-    return history
+    return history.labelled(labels)
 
 
 @jitted

@@ -14,8 +14,8 @@ from motes.core.record import record, replace, static
 from motes.core.types import Inputs, KeyLike, Measurements
 from motes.filters import keep as keeping
 from motes.filters import notices, precision
-from motes.filters.data import checked_data, steps_of
-from motes.filters.history import Carry, History, joined
+from motes.filters.data import labelled_data, steps_of
+from motes.filters.history import Carry, History, MadeBy, joined
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
@@ -53,8 +53,8 @@ def run(
         filter: the filter.
         model: state-space, mixed linear or jump-Markov model.
         ys: measurements `(t, y)`, or, of a `Custom` sensor, arrays of any shape and type or trees of them, time axis first, or a list with
-            one for each step; NaN, None, masked and NA mean not measured; the first is of x_0. An iterator of them, or of lists of
-            several, is gone through in pieces that fit into memory; what `times` gives has inputs and times, too.
+            one for each step; NaN, None, masked and NA mean not measured; the first is of x_0. Tables of pandas, polars and xarray keep
+            times and names. An iterator of measurements, or of lists of them, is gone through in pieces; what `times` gives has inputs.
         inputs: tree with the time axis first, or None; finite numbers in every row.
         keep: what to keep of each law (see `keep`).
         after: history of the steps before, to continue from with the same key; the result equals the uncut run, bit for bit.
@@ -67,7 +67,7 @@ def run(
         return (_run_along if isinstance(ys, Timeline) else _run_through)(key, filter, model, ys, inputs, keep, after)  # type: ignore[operator]
     key = random.key_or_data(key)
     filter = keeping.remembering(checks.instance("run filter", filter, Filter, "a filter such as ParticleFilter(n=1000)"), keep)
-    ys, inputs = checked_data(model, ys, inputs)
+    ys, inputs, labels = labelled_data(model, ys, inputs)
     if isinstance(key, jax.Array) and key.ndim and after is None:
         checks.shape("run key", key, (steps_of(ys),), "(one for each step)")
     u = jax.tree.map(one_of, inputs)
@@ -86,8 +86,9 @@ def run(
             _check_end(first, filter, model, u, y)
         raise
     found.last.evidence.remember(found.evidence)
-    history = History(found.kept, found.info, found.last, found.start, model.names, known.label, engine=found.engine,
-                      circular=model.circular, rounding=found.rounding, **filter.traits)  # fmt: skip
+    made_by = MadeBy(filter, model) if checks.is_concrete((parts, ys, inputs)) else None
+    history = History(found.kept, found.info, found.last, found.start, model.names, known.label, engine=found.engine, made_by=made_by,
+                      circular=model.circular, rounding=found.rounding, **filter.traits).labelled(labels)  # fmt: skip
     if filter.on_collapse == "raise" and checks.is_concrete(history.info.collapsed):
         history.raise_on_collapse()
     if checks.is_concrete(history.info):
@@ -101,7 +102,7 @@ def _run_along(
     """Run over measurements that have times."""
     if inputs is not None:
         checks.refuse("run inputs", "none beside a timeline, which has them", "some", "Give them to mo.times(..., inputs=...).")
-    return replace(run(key, filter, model, line.ys, line.inputs, keep, after), times=line.start + line.seconds)
+    return replace(run(key, filter, model, line.ys, line.inputs, keep, after), times=line.start + line.seconds, labels=line.labels)
 
 
 def _run_through(
@@ -154,12 +155,13 @@ def run_in_chunks(  # noqa: PLR0913 (those of run, and the length of a chunk)
     Arguments and errors are those of `run`; chunk is the number of steps at a time.
     """
     checks.positive_integer("run_in_chunks chunk", chunk)
-    ys, inputs = checked_data(model, ys, inputs)
+    ys, inputs, labels = labelled_data(model, ys, inputs)
     part = after
     for begin in range(0, steps_of(ys), chunk):
         piece = slice(begin, begin + chunk)
         rows = jax.tree.map(lambda leaf, piece=piece: leaf[piece], (ys, inputs))
         part = run(key, filter, model, rows[0], rows[1], keep, part)
+        part = part.labelled(labels and labels.rows(piece))
         yield part
 
 

@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, random
+from motes.core import checks, markdown, random
 from motes.core.packed import Packed
 from motes.core.types import Inputs, KeyLike
 from motes.filters.data import checked_data, is_array, refuse_infinite
+from motes.filters.frames import stream_facts
 from motes.filters.history import Carry, History, ask_evidence
 from motes.filters.history_files import measurement_form
 from motes.filters.info import Info
@@ -206,6 +207,18 @@ class Stream:
             self._like, self._held = y, start(self._form, self._parts, self._inputs, y)
             self._past.opened(None, self._inputs, None)
         return self._held
+
+    def __repr__(self) -> str:
+        """Return where the stream stands, in one line."""
+        return f"Stream({', '.join(f'{what} {text}' for what, text in stream_facts(self))})"
+
+    def _repr_markdown_(self) -> str:
+        return markdown.table(("", "stream"), stream_facts(self))
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether anything was measured."""
+        return self._held is not None
 
     @property
     def t(self) -> int:

@@ -1,7 +1,7 @@
 """Times, with or without a unit of their own, as seconds that survive 32-bit arithmetic."""
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from typing import Any
 
 import numpy as np
@@ -67,15 +67,8 @@ def in_seconds(values: Any, name: str = "times") -> tuple[float, np.ndarray]:
     Raises:
         MotesError: they are none of these.
     """
-    kind = getattr(values, "dtype", None)
-    if getattr(kind, "tz", None) is not None:
-        # pandas keeps instants with a time zone; those of a column have their methods under .dt
-        instants = getattr(values, "dt", values)
-        values = instants.tz_convert("UTC").tz_localize(None) if instants is values else instants.tz_convert("UTC").dt.tz_localize(None)
     try:
-        array = np.asarray(values)
-        if array.dtype == object:
-            array = _objects(array)
+        array = without_zone(values)
         if array.dtype.kind not in "biufmM":
             raise TypeError
     except (TypeError, ValueError, OverflowError):
@@ -84,10 +77,25 @@ def in_seconds(values: Any, name: str = "times") -> tuple[float, np.ndarray]:
     return _ticks(array, name) if array.dtype.kind in "mM" else (0.0, array.astype(np.float64))
 
 
+def without_zone(values: Any) -> np.ndarray:
+    """Return times, or numbers, as NumPy has them: instants with a time zone, of pandas or `datetime`, in UTC.
+
+    Raises:
+        TypeError: objects are neither.
+        ValueError: likewise.
+    """
+    if getattr(getattr(values, "dtype", None), "tz", None) is not None:
+        # pandas keeps instants with a time zone; those of a column have their methods under .dt
+        instants = getattr(values, "dt", values)
+        values = instants.tz_convert("UTC").tz_localize(None) if instants is values else instants.tz_convert("UTC").dt.tz_localize(None)
+    array = np.asarray(values)
+    return _objects(array) if array.dtype == object else array
+
+
 def _objects(array: np.ndarray) -> np.ndarray:
     """Return an array of objects as one of times, or of numbers where there are no times."""
     flat = array.reshape(-1).tolist()
-    if not any(isinstance(item, (datetime, np.datetime64)) for item in flat):
+    if not any(isinstance(item, (date, np.datetime64)) for item in flat):
         return array.astype(np.float64)
     return np.array([_instant(item) for item in flat]).reshape(array.shape)
 
@@ -98,8 +106,8 @@ def _instant(item: Any) -> np.datetime64:
     if isinstance(item, datetime):
         aware = item if item.tzinfo else item.replace(tzinfo=UTC)
         return np.datetime64(aware.astimezone(UTC).replace(tzinfo=None))
-    if isinstance(item, np.datetime64):
-        return item
+    if isinstance(item, (date, np.datetime64)):
+        return np.datetime64(item)
     raise TypeError
 
 

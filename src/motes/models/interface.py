@@ -9,14 +9,16 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 import jax.numpy as jnp
 
-from motes.core import checks
-from motes.core.record import replace
+from motes.core import checks, markdown
+from motes.core.record import described, replace, values
 from motes.core.types import Inputs
 from motes.laws.conditional import Conditional
 from motes.laws.switching import in_each_mode
 from motes.models.correlated import Drive
 
 R = TypeVar("R")
+LONGEST = 300
+"""Letters of a part of a model that a notebook shows at most."""
 
 
 class Wrap(NamedTuple):
@@ -47,6 +49,11 @@ class Model(ABC):
     linear: tuple[int, ...] | None = None
     modes: int = 0
     correlated: bool = False
+
+    def _repr_markdown_(self) -> str:
+        rows = [("states", ", ".join(self.names)), *((name, described(value)) for name, value in values(self).items() if name != "names")]
+        short = [(name, text if len(text) <= LONGEST else f"{text[:LONGEST]}...") for name, text in rows]
+        return markdown.table((type(self).__name__, ""), short)
 
     @property
     def size(self) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 from motes.core import checks, random
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs, MatrixLike
+from motes.io import tabular
 from motes.laws.circular import near
 from motes.laws.cluttered import Cluttered
 from motes.laws.conditional import AdditiveGaussian, AdditiveNoise, Conditional, check_matrix
@@ -232,7 +233,7 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
 
     Args:
         argument: name to use in the message.
-        inputs: tree of whatever `checks.as_numbers` takes, or None.
+        inputs: tree of whatever `checks.as_numbers` takes, tables and series of other libraries among them, or None.
         rows: whether the time axis is first.
 
     Raises:
@@ -246,7 +247,7 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
         name = argument + jax.tree_util.keystr(path)
         if isinstance(leaf, jax.Array) and not (checks.is_concrete(leaf) and jnp.issubdtype(leaf.dtype, jnp.floating)):
             return leaf
-        array = leaf if isinstance(leaf, (bool, int, float)) else checks.as_numbers(name, leaf)
+        array = leaf if isinstance(leaf, (bool, int, float)) else checks.as_numbers(name, tabular.plain(name, leaf))
         # an infinite variance says that nothing was measured
         wrong = checks.unknown(np.where(np.isposinf(array), 0, array) if jnp.issubdtype(np.asarray(array).dtype, jnp.floating) else array)
         if wrong is not None:
@@ -255,4 +256,4 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
             checks.refuse(name, "finite numbers", f"{np.asarray(array)[tuple(wrong)]:g}{place}", hint)
         return array
 
-    return jax.tree_util.tree_map_with_path(one, inputs)
+    return jax.tree_util.tree_map_with_path(one, tabular.by_name(inputs))

@@ -6,9 +6,10 @@ import jax
 import numpy as np
 
 from motes.core import checks
-from motes.core.record import record, static
+from motes.core.record import record, replace, static
 from motes.core.types import Inputs
-from motes.io import instants
+from motes.io import instants, tabular
+from motes.io.labels import Labels, labels_of
 from motes.laws.observed import Observed
 
 
@@ -21,41 +22,53 @@ class Timeline:
         inputs: dictionary of the inputs, with `dt`, the seconds since the step before, `(t,)`; 0 at the first.
         seconds: since the first step, float64 `(t,)`.
         start: the first time: of dates in Unix seconds.
+        labels: the times as they were given, and names of columns; None where several sensors were brought together.
     """
 
     ys: Any
     inputs: Any
     seconds: np.ndarray
     start: float = static()
+    labels: Labels | None = static(default=None)
 
 
-def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensors: tuple[Any, Any]) -> Timeline:
+def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensors: Any) -> Timeline:
     """Bring measurements with time stamps to one line of steps, however uneven.
 
     A model that asks for the time between steps finds it among its inputs: `u["dt"]`, in seconds.
 
     Args:
-        stamps: time of each measurement `(t,)`: seconds, datetime64, what pandas makes of them; they never decrease, and may be equal.
+        stamps: time of each measurement `(t,)`: seconds, datetime64, what pandas makes of them; they never decrease, and may be equal. Left
+            out where measurements are a table or series with times of its own: `mo.times(ys=series)`.
         ys: measurements, time axis first.
         inputs: dictionary of further inputs of each step, time axis first; of one sensor only.
-        sensors: in place of both, for each sensor of an `Independent` by name its stamps and its measurements; what has the same time is
-            one step, in which the others measured nothing.
+        sensors: in place of both, for each sensor of an `Independent` by name its stamps and its measurements, or a table or series with
+            times; what has the same time is one step, in which the others measured nothing.
 
     Raises:
         MotesError: stamps are missing, decrease, or are not as many as measurements; the message names the row.
     """
+    if not sensors and stamps is None and ys is not None:
+        stamps, ys = _own_times("times ys", ys)
     if bool(sensors) == (stamps is not None):
         checks.refuse("times", "stamps and measurements, or both for each sensor by name", "both" if sensors else "none")
     if not sensors:
-        start, seconds = instants.times(stamps, name="times stamps")
-        return Timeline(ys, _with_steps(inputs, _counted("times ys", ys, seconds)), seconds, start)
+        # numbers among stamps are seconds
+        stamped = stamps if isinstance(stamps, Labels) else labels_of("times stamps", stamps)
+        stamped = None if stamped is None or not stamped.are_times else stamped
+        start, seconds = instants.times(stamped.index if isinstance(stamps, Labels) else stamps, name="times stamps")
+        ys, own = tabular.unlabelled("times ys", ys)
+        if own is not None and own.columns and stamped is not None:
+            stamped = replace(stamped, columns=own.columns)
+        return Timeline(ys, _with_steps(inputs, _counted("times ys", ys, seconds)), seconds, start, stamped)
     if inputs is not None:
         checks.refuse("times inputs", "none beside several sensors", "some", "Add them to `timeline.inputs`, by `timeline.seconds`.")
     found = {}
+    sensors = {name: _own_times(f"times {name}", pair) if tabular.is_labelled(pair) else pair for name, pair in sensors.items()}
     for name, pair in sensors.items():
         if not isinstance(pair, tuple) or len(pair) != 2:
             checks.refuse(f"times {name}", "a pair of stamps and measurements", type(pair).__name__)
-        begun, since = instants.times(pair[0], name=f"times {name}")
+        begun, since = instants.times(pair[0].index if isinstance(pair[0], Labels) else pair[0], name=f"times {name}")
         found[name] = (begun, _counted(f"times {name}", pair[1], since))
     start = min(begun for begun, _ in found.values())
     keys = {name: _numbered(begun - start + since) for name, (begun, since) in found.items()}
@@ -64,6 +77,14 @@ def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensor
     merged = {name: _spread(pair[1], [place[key] for key in keys[name]], len(line)) for name, pair in sensors.items()}
     seconds = np.array([second for second, _ in line])
     return Timeline(merged, _with_steps(None, seconds), seconds, start)
+
+
+def _own_times(name: str, ys: Any) -> tuple[Labels, Any]:
+    """Return the labels of a table or series that has times, and its numbers."""
+    found, own = tabular.unlabelled(name, ys)
+    if own is None or own.index is None:
+        checks.refuse(name, "a table or series with an index of times, or stamps beside it", type(ys).__name__)
+    return own, found
 
 
 def _counted(name: str, ys: Any, seconds: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from motes.bounds.bound import Bound
-from motes.plotting.figures import ESTIMATE, WORDS, over_steps, state_panels
+from motes.plotting.figures import ESTIMATE, WORDS, over_time, state_panels
 
 
 def bound_figure(bound: Bound) -> Any:
@@ -15,6 +15,6 @@ def bound_figure(bound: Bound) -> Any:
     for axes, deviations in zip(panels, np.sqrt(variances).T, strict=True):
         axes.plot(deviations, color=ESTIMATE, linewidth=1.4)
         axes.set_ylim(bottom=0)
-    over_steps(figure, 0, len(variances) - 1)
+    over_time(figure, np.arange(len(variances)))
     figure.suptitle(bound.kind, fontsize=10, **WORDS)
     return figure

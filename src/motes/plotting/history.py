@@ -1,48 +1,127 @@
-"""Picture of a run: each state with its two-sigma band, and the effective sample size."""
+"""Pictures of runs over time: each state with its two-sigma band, and the effective sample size; many runs at once as a fan of lines."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from motes.core import checks
+from motes.filters.frames import first_step
 from motes.filters.history import History
-from motes.plotting.figures import ESTIMATE, TRUE, legend_below, over_steps, state_panels
+from motes.io.tabular import by_columns
+from motes.plotting.figures import ESTIMATE, TRUE, legend_below, over_time, state_panels
+from motes.smoothers.interface import Smoothed
+
+LINES = 20
+"""So many of many runs are drawn as lines."""
 
 
-def history_figure(history: History, truth: Any = None) -> Any:
-    """Draw means with bands of two standard deviations, and the effective sample size where there is one.
+class Course(NamedTuple):
+    """Some states over time.
+
+    Attributes:
+        times: of steps: dates, numbers or steps, `(t,)`.
+        label: what they are.
+        names: of the states.
+        mean: `(..., t, x)`.
+        cov: `(..., t, x, x)`.
+        truth: `(t, x)`, or None.
+    """
+
+    times: np.ndarray
+    label: str
+    names: tuple[str, ...]
+    mean: np.ndarray
+    cov: np.ndarray
+    truth: np.ndarray | None
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Standard deviations `(..., t, x)`; rounding may leave a variance of a certain state a little below zero."""
+        return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=-2, axis2=-1), 0))
+
+
+def course(result: History | Smoothed, truth: Any, states: tuple[int, ...]) -> Course:
+    """Return some states of a run over time.
 
     Args:
-        history: with means and covariances.
-        truth: true states `(t, x)`, or None.
+        result: with means and covariances.
+        truth: true states `(t, x)`, a table or an array, or None.
+        states: indices.
 
     Raises:
         MotesError: truth has another shape, or the history kept no moments.
     """
-    means, covs = np.asarray(history.mean, np.float64), np.asarray(history.cov, np.float64)
+    means, covs = np.asarray(result.mean, np.float64), np.asarray(result.cov, np.float64)
     if truth is not None:
-        checks.shape("plot truth", truth, means.shape, "(steps, states)")
-        truth = np.asarray(truth)
-    # rounding may leave a variance of a certain state a little below zero
-    deviations = np.sqrt(np.maximum(np.diagonal(covs, axis1=1, axis2=2), 0))
-    ess = np.asarray(history.ess)
+        truth = np.asarray(checks.as_numbers("plot truth", by_columns("plot truth", truth, result.names)))
+        checks.shape("plot truth", truth, means.shape[-2:], "(steps, states)")
+        truth = truth[:, states]
+    times, label = times_of(result, means.shape[-2])
+    names = tuple(result.names[state] for state in states)
+    return Course(times, label, names, means[..., states], covs[..., states, :][..., states], truth)
+
+
+def times_of(result: Any, steps: int) -> tuple[np.ndarray, str]:
+    """Return the times of the steps of a result, as they were given, and what they are."""
+    labels, seconds = result.labels, getattr(result, "times", None)
+    if labels is not None and labels.index is not None:
+        if labels.index.dtype.kind == "m":
+            return labels.index / np.timedelta64(1, "s"), "time, s"
+        return labels.index, (labels.name or "time") + (", UTC" if labels.zone else "")
+    if seconds is not None:
+        return np.asarray(seconds), "time, s"
+    return first_step(result) + np.arange(steps), "step"
+
+
+def history_figure(result: History | Smoothed, truth: Any, states: tuple[int, ...]) -> Any:
+    """Draw means with bands of two standard deviations, and the effective sample size where there is one.
+
+    Args:
+        result: with means and covariances; of many runs too.
+        truth: true states `(t, x)`, or None.
+        states: indices of those to draw.
+
+    Raises:
+        MotesError: truth has another shape, or the history kept no moments.
+    """
+    drawn = course(result, truth, states)
+    if drawn.mean.ndim > 2:
+        return _runs_figure(drawn)
+    ess = np.asarray(result.ess) if isinstance(result, History) else np.full(1, np.inf)
     sampled = bool(np.isfinite(ess).any())
-    figure, panels = state_panels(history.names, wide=sampled)
-    steps = int(history.start) + np.arange(means.shape[0])
-    for state, axes in enumerate(panels[: len(history.names)]):
-        _state(axes, steps, means[:, state], deviations[:, state], None if truth is None else truth[:, state])
+    figure, panels = state_panels(drawn.names, wide=sampled, label=drawn.label)
+    for state, axes in enumerate(panels[: len(drawn.names)]):
+        mean, deviation = drawn.mean[:, state], drawn.deviation[:, state]
+        axes.fill_between(drawn.times, mean - 2 * deviation, mean + 2 * deviation, color=ESTIMATE, alpha=0.22, linewidth=0, label="2 sigma")
+        axes.plot(drawn.times, mean, color=ESTIMATE, linewidth=1.4, label="mean")
+        _truth(axes, drawn, state)
     legend_below(figure, panels[0], 3)
     if sampled:
         axes = panels[-1]
-        axes.plot(steps, ess, color=ESTIMATE, linewidth=0.9)
+        axes.plot(drawn.times, ess, color=ESTIMATE, linewidth=0.9)
         axes.set_ylim(bottom=0)
         axes.set_title("effective sample size", fontsize=10)
-    over_steps(figure, steps[0], steps[-1])
+    over_time(figure, drawn.times)
     return figure
 
 
-def _state(axes: Any, steps: np.ndarray, mean: np.ndarray, deviation: np.ndarray, truth: np.ndarray | None) -> None:
-    axes.fill_between(steps, mean - 2 * deviation, mean + 2 * deviation, color=ESTIMATE, alpha=0.22, linewidth=0, label="2 sigma")
-    axes.plot(steps, mean, color=ESTIMATE, linewidth=1.4, label="mean")
-    if truth is not None:
-        axes.plot(steps, truth, color=TRUE, linewidth=1.0, linestyle=(0, (4, 2)), label="truth")
+def _truth(axes: Any, drawn: Course, state: int) -> None:
+    if drawn.truth is not None:
+        axes.plot(drawn.times, drawn.truth[:, state], color=TRUE, linewidth=1.0, linestyle=(0, (4, 2)), label="truth")
+
+
+def _runs_figure(drawn: Course) -> Any:
+    """Draw the means of many runs: some of them as lines, the median of all, and what nine of ten lie within."""
+    means = drawn.mean.reshape(-1, *drawn.mean.shape[-2:])
+    figure, panels = state_panels(drawn.names, label=drawn.label)
+    lower, middle, upper = np.nanquantile(means, (0.05, 0.5, 0.95), axis=0)
+    for state, axes in enumerate(panels):
+        for number, line in enumerate(means[:LINES, :, state]):
+            name = f"means of {min(LINES, len(means))} of {len(means)} runs" if number == 0 else None
+            axes.plot(drawn.times, line, color="0.55", linewidth=0.6, alpha=0.7, label=name)
+        axes.fill_between(drawn.times, lower[:, state], upper[:, state], color=ESTIMATE, alpha=0.22, linewidth=0, label="nine of ten")
+        axes.plot(drawn.times, middle[:, state], color=ESTIMATE, linewidth=1.4, label="median")
+        _truth(axes, drawn, state)
+    legend_below(figure, panels[0], 4)
+    over_time(figure, drawn.times)
+    return figure

@@ -1,15 +1,17 @@
 """The contract of a smoother: a frozen record of its own parameters that turns a filtered history into laws given all measurements."""
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from motes.core import checks
+from motes.core import checks, markdown
 from motes.core.record import record, static, values
+from motes.filters import frames
 from motes.filters.history import History
 from motes.filters.needs import ask_density
+from motes.io.labels import Labels
 from motes.laws.cloud import Cloud, weighted_moments
 from motes.laws.factored import FactoredGaussian
 from motes.laws.gaussian import Gaussian
@@ -17,6 +19,9 @@ from motes.laws.law import Law
 from motes.laws.marginal_cloud import MarginalCloud
 from motes.laws.mixture import Mixture
 from motes.models.state_space import StateSpaceModel
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @record
@@ -32,6 +37,8 @@ class Smoothed:
         modes: modes along the paths, `(t, m)` int32, where they are not the last state of the paths; None otherwise.
         names: names of the states.
         label: the smoother, as it prints.
+        labels: times of the steps and names of columns, as those of the history; None where it has none.
+        start: index of the first step.
     """
 
     mean: jax.Array
@@ -42,6 +49,33 @@ class Smoothed:
     modes: jax.Array | None = None
     names: tuple[str, ...] = static(default=())
     label: str = static(default="")
+    labels: Labels | None = static(default=None)
+    start: jax.Array | int = 0
+
+    def to_pandas(self) -> "DataFrame":
+        """Return a `pandas.DataFrame` with a row for each step, indexed as the history is (extra `results`).
+
+        Columns: mean and standard deviation of each state (`px`, `px_sd`), and probabilities of modes where there are modes.
+        """
+        columns = frames.mean_and_sd(self.names, self.mean, self.cov)
+        if self.mode_probabilities is not None:
+            columns |= {f"mode_{mode}": self.mode_probabilities[..., mode] for mode in range(self.mode_probabilities.shape[-1])}
+        return frames.as_frame(columns, self.labels, frames.first_step(self))
+
+    def __str__(self) -> str:
+        """Print what was smoothed, one line each."""
+        return "\n".join(f"{what:<16}{text}" for what, text in self._facts()) or repr(self)
+
+    def _repr_markdown_(self) -> str:
+        return markdown.table(("", "smoothed"), self._facts()) if self._facts() else repr(self)
+
+    def _facts(self) -> list[tuple[str, str]]:
+        if self.mean.ndim != 2 or not checks.is_concrete(self.mean):
+            return []
+        first = frames.first_step(self)
+        facts = [("smoother", self.label), ("steps", f"{first} to {first + self.mean.shape[0] - 1}"),
+                 ("at the start", frames.in_short(self.names, self.mean[0], self.cov[0]))]  # fmt: skip
+        return facts if self.paths is None else [*facts, ("paths", f"{self.paths.shape[-1]} drawn")]
 
 
 _SMOOTHED: dict[tuple[type[Law], ...], str] = {

@@ -59,11 +59,12 @@ def smooth(
     elif model.correlated:
         checks.refuse("smooth ys", "the measurements of the run (its noises are correlated)", "None")
     known = canonical(model, jax.tree.map(one_of, inputs), history.last.y)
-    # the label says with which parameters, and would make each filter compile anew
-    found = _smooth(random.key_or_data(key), smoother, known, replace(history, label=""), ys, inputs, Beside((smoother, known)))
+    # the label says with which parameters, and would make each filter compile anew; as would times and models
+    bare = replace(history, label="", labels=None, made_by=None, times=None)
+    found = _smooth(random.key_or_data(key), smoother, known, bare, ys, inputs, Beside((smoother, known)))
     if smoother.lost is not None and checks.is_concrete(found.mean):
         _ask_found(smoother, found.mean, history)
-    return replace(found, names=history.names, label=repr(smoother))
+    return replace(found, names=history.names, label=repr(smoother), labels=history.labels, start=history.start)
 
 
 def _ask_found(smoother: Smoother, mean: jax.Array, history: History) -> None:
