@@ -31,7 +31,8 @@ def stochastic_volatility(mu: Any, phi: Any, sigma: Any, leverage: Any = None) -
     Raises:
         MotesError: a parameter has a value it cannot have.
     """
-    mu, phi, sigma = (checks.as_float(f"stochastic_volatility {name}", value) for name, value in (("mu", mu), ("phi", phi), ("sigma", sigma)))
+    given = {"mu": mu, "phi": phi, "sigma": sigma}
+    mu, phi, sigma = (checks.as_float(f"stochastic_volatility {name}", value) for name, value in given.items())
     for name, value in (("mu", mu), ("phi", phi), ("sigma", sigma)):
         checks.shape(f"stochastic_volatility {name}", value, ())
         checks.finite(f"stochastic_volatility {name}", value)

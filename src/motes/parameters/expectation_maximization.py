@@ -158,7 +158,7 @@ def _of_one(model: Any, ys: jax.Array, inputs: Any, found: Expected) -> jax.Arra
 
 
 def _expected_log_density(square: jax.Array, cov: jax.Array, counted: jax.Array) -> jax.Array:
-    """Return the expected log density of a Gaussian without mean, of the expected square `(k, k)` of its value, on the covariance's span."""
+    """Return the expected log density of a centered Gaussian, on its span, of the expected square `(k, k)` of its value."""
     factor = linalg.cholesky(cov)
     half = linalg.solve_lower(factor, square)
     alive = counted & (linalg.diagonal_of(factor) > 0)

@@ -87,7 +87,8 @@ def _estimates(given: Likelihood, keys: jax.Array, by: str, rounds: int) -> dict
     if noisy:
         spread = np.zeros(values.size)
         spread[free] = np.nan if error is None else error * np.abs(slopes[free])
-    method = "expectation maximization" if by == "em" else "maximum likelihood" + (f" by simulation, {keys.size} at a time" if noisy else "")
+    simulated = f" by simulation, {keys.size} at a time" if noisy else ""
+    method = "expectation maximization" if by == "em" else f"maximum likelihood{simulated}"
     return {"values": values, "covariance": covariance, "log_likelihood": top.log_likelihood, "measured": given.steps,
             "simulation_error": spread if noisy else None, "rounds": top.rounds, "names": form.names,
             "held": tuple(np.asarray(top.given.parameters.held).tolist()), "groups": form.groups, "converged": converged,

@@ -88,7 +88,8 @@ def parameters_of(init: Any, names: Any, fixed: Any, positive: Any, bounds: Any)
     """
     entries = {**_entries(init, names)}
     if isinstance(init, Mapping):
-        entries |= {name: _numbers(f"fit fixed[{name!r}]", value) for name, value in (fixed or {}).items()
+        fixed = _mapping("fit fixed", fixed)
+        entries |= {name: _numbers(f"fit fixed[{name!r}]", value) for name, value in fixed.items()
                     if isinstance(name, str) and name not in entries and name not in _elements(entries)}  # fmt: skip
     if not entries:
         checks.refuse("fit init", "at least one parameter", "none")
@@ -163,8 +164,9 @@ def _pair(name: str, pair: Any, twice: bool) -> tuple[float, float]:
     if not isinstance(pair, (tuple, list)) or len(pair) != 2:
         checks.refuse(f"fit bounds[{name!r}]", expected, repr(pair)[:80])
     if twice:
-        checks.refuse(f"fit bounds[{name!r}]", "a parameter that is not among those of positive=", "one that is", "Say (0, high) here alone.")
-    low, high = (side if one is None else float(_numbers(f"fit bounds[{name!r}]", one)) for one, side in zip(pair, (-np.inf, np.inf)))
+        checks.refuse(f"fit bounds[{name!r}]", "a parameter that is not in positive=", "one that is", "Say (0, high) here alone.")
+    low, high = (side if one is None else float(_numbers(f"fit bounds[{name!r}]", one))
+                 for one, side in zip(pair, (-np.inf, np.inf), strict=True))  # fmt: skip
     if not low < high:
         checks.refuse(f"fit bounds[{name!r}]", expected, repr(pair)[:80])
     return low, high
