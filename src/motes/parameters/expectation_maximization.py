@@ -72,7 +72,7 @@ def maximized(ascent: Ascent, z: np.ndarray, rounds: int) -> np.ndarray:
     given, free = ascent.given, ~np.asarray(ascent.given.parameters.held)
     before = ascent.height(z)
     for turn in range(1, rounds + 1):
-        moments = _expected(given, z, ascent.beside)
+        moments = _smoothed(given, z, ascent.beside)
 
         def downward(part: np.ndarray, moments: Any = moments, z: np.ndarray = z) -> tuple[float, np.ndarray]:
             whole = z.copy()
@@ -94,7 +94,7 @@ def maximized(ascent: Ascent, z: np.ndarray, rounds: int) -> np.ndarray:
 
 
 @jitted
-def _expected(given: Likelihood, z: Any, beside: Beside) -> list[Expected]:
+def _smoothed(given: Likelihood, z: Any, beside: Beside) -> list[Expected]:
     """Step 1, of all sequences, which are the first axis."""
     model, key = given.at(z), random.as_key(0)
 

@@ -89,7 +89,7 @@ def parameters_of(init: Any, names: Any, fixed: Any, positive: Any, bounds: Any)
     entries = {**_entries(init, names)}
     if isinstance(init, Mapping):
         fixed = _mapping("fit fixed", fixed)
-        entries |= {name: _numbers(f"fit fixed[{name!r}]", value) for name, value in fixed.items()
+        entries |= {name: _as_reals(f"fit fixed[{name!r}]", value) for name, value in fixed.items()
                     if isinstance(name, str) and name not in entries and name not in _elements(entries)}  # fmt: skip
     if not entries:
         checks.refuse("fit init", "at least one parameter", "none")
@@ -98,15 +98,15 @@ def parameters_of(init: Any, names: Any, fixed: Any, positive: Any, bounds: Any)
     values = np.concatenate([np.ravel(value) for value in entries.values()])
     lower, upper, held = np.full(len(named), -np.inf), np.full(len(named), np.inf), np.zeros(len(named), bool)
     for name, value in _mapping("fit fixed", fixed).items():
-        places = _places("fit fixed", name, entries)
-        number = _numbers(f"fit fixed[{name!r}]", value)
+        places = _standing("fit fixed", name, entries)
+        number = _as_reals(f"fit fixed[{name!r}]", value)
         if number.size not in (1, len(places)):
             checks.refuse(f"fit fixed[{name!r}]", f"{len(places)} numbers, as in init", number.size)
         values[places], held[places] = np.ravel(number), True
     for name in (positive,) if isinstance(positive, str) else tuple(positive):
-        lower[_places("fit positive", name, entries)] = 0.0
+        lower[_standing("fit positive", name, entries)] = 0.0
     for name, pair in _mapping("fit bounds", bounds).items():
-        places = _places("fit bounds", name, entries)
+        places = _standing("fit bounds", name, entries)
         lower[places], upper[places] = _pair(name, pair, bool((lower[places] == 0).any()))
     _ask_inside(named, values, held, lower, upper)
     if held.all():
@@ -121,8 +121,8 @@ def _entries(init: Any, names: Any) -> dict[str, np.ndarray]:
             checks.refuse("fit names", "none beside a dictionary, which has them", repr(names)[:80])
         if not all(isinstance(name, str) for name in init):
             checks.refuse("fit init", "names that are words", repr([name for name in init if not isinstance(name, str)])[:80])
-        return {name: _numbers(f"fit init[{name!r}]", value) for name, value in init.items()}
-    vector = _numbers("fit init", init, "a dictionary of numbers by name, or a vector (p,)")
+        return {name: _as_reals(f"fit init[{name!r}]", value) for name, value in init.items()}
+    vector = _as_reals("fit init", init, "a dictionary of numbers by name, or a vector (p,)")
     checks.shape("fit init", vector, (None,), "(a vector of parameters, or a dictionary by name)")
     names = [f"theta{i}" for i in range(vector.size)] if names is None else [names] if isinstance(names, str) else list(names)
     if len(names) != vector.size or len(set(names)) != len(names) or not all(isinstance(name, str) for name in names):
@@ -130,7 +130,7 @@ def _entries(init: Any, names: Any) -> dict[str, np.ndarray]:
     return dict(zip(names, vector, strict=True))
 
 
-def _numbers(argument: str, value: Any, expected: str = "a number, or an array of numbers") -> np.ndarray:
+def _as_reals(argument: str, value: Any, expected: str = "a number, or an array of numbers") -> np.ndarray:
     found = np.asarray(checks.as_numbers(argument, value, expected), np.float64)
     checks.finite(argument, found)
     return found
@@ -142,7 +142,7 @@ def _elements(entries: Mapping[str, np.ndarray]) -> tuple[str, ...]:
                  for place in np.ndindex(np.shape(value)))  # fmt: skip
 
 
-def _places(argument: str, name: Any, entries: Mapping[str, np.ndarray]) -> list[int]:
+def _standing(argument: str, name: Any, entries: Mapping[str, np.ndarray]) -> list[int]:
     """Return where the numbers of a parameter stand, given by its name, or by that of one of its numbers."""
     named = _elements(entries)
     if name in named:
@@ -165,7 +165,7 @@ def _pair(name: str, pair: Any, twice: bool) -> tuple[float, float]:
         checks.refuse(f"fit bounds[{name!r}]", expected, repr(pair)[:80])
     if twice:
         checks.refuse(f"fit bounds[{name!r}]", "a parameter that is not in positive=", "one that is", "Say (0, high) here alone.")
-    low, high = (side if one is None else float(_numbers(f"fit bounds[{name!r}]", one))
+    low, high = (side if one is None else float(_as_reals(f"fit bounds[{name!r}]", one))
                  for one, side in zip(pair, (-np.inf, np.inf), strict=True))  # fmt: skip
     if not low < high:
         checks.refuse(f"fit bounds[{name!r}]", expected, repr(pair)[:80])
