@@ -164,8 +164,9 @@ def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> No
     """Refuse a file whose arrays or words cannot be those of a fit, before they are read."""
     names, held, groups = (texts.get(name) for name in ("names", "held", "groups"))
     words = all(isinstance(texts.get(name), str) for name in ("message", "method", "filter")) and isinstance(texts.get("converged"), bool)
-    lists = isinstance(names, list) and isinstance(held, list) and isinstance(groups, list) and len(names) == len(held)
-    if not words or not lists or not all(isinstance(name, str) for name in names):
+    if not isinstance(names, list) or not isinstance(held, list) or not isinstance(groups, list):
+        names, held = [""], []
+    if not words or len(names) != len(held) or not all(isinstance(name, str) for name in names):
         checks.refuse(f"{path}: texts", "names of parameters and words", "others", "Restore it from a copy.", checks.FileError)
     count = len(names)
     archive.agree(path, forms, {"values": ((count,), "f"), "covariance": ((count, count), "f"), "numbers": ((3,), "f"),

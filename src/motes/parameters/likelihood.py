@@ -66,9 +66,11 @@ class Likelihood:
     @property
     def steps(self) -> int:
         """Number of steps at which something was measured, without those that do not count."""
-        seen = [~np.isnan(np.asarray(leaf)).reshape(*leaf.shape[:2], -1).all(axis=2) if jnp.issubdtype(leaf.dtype, jnp.floating) else
-                np.ones(leaf.shape[:2], bool) for leaf in (jax.tree.leaves(one.ys)[0] for one in self.series)]  # fmt: skip
-        return sum(int(one[:, self.burn :].sum()) for one in seen)
+        count = 0
+        for leaf in (np.asarray(jax.tree.leaves(one.ys)[0])[:, self.burn :] for one in self.series):
+            rows = leaf.reshape(*leaf.shape[:2], -1)
+            count += int(np.any(~np.isnan(rows) if rows.dtype.kind == "f" else np.ones_like(rows, bool), axis=2).sum())
+        return count
 
     def at(self, z: jax.Array) -> Model:
         """Return the model at coordinates `(p,)`, in double precision."""
@@ -158,17 +160,12 @@ def likelihood_of(parameters: Parameters, model_of: Any, ys: Any, inputs: Inputs
     shortest = min(steps_of(one) for one, _ in sequences)
     if burn >= shortest:
         checks.refuse("fit burn", f"fewer steps than there are, {shortest}", burn)
-    filter = in_double(_chosen(filter, model, one_of_inputs(sequences[0][1])))
+    used: Filter = in_double(_chosen(filter, model, jax.tree.map(one_of, sequences[0][1])))
     series: dict[Any, list[Any]] = {}
     for one in sequences:
         series.setdefault(str(jax.tree.map(np.shape, one)), []).append(one)
     stacked = tuple(Series(*jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)) for alike in series.values())
-    return Likelihood(parameters, model_of, filter, stacked, burn)
-
-
-def one_of_inputs(inputs: Inputs) -> Inputs:
-    """Return the shapes of the inputs of one step."""
-    return jax.tree.map(one_of, inputs)
+    return Likelihood(parameters, model_of, used, stacked, burn)
 
 
 def _sequences(model: Model, ys: Any, inputs: Inputs) -> list[tuple[Any, Inputs]]:

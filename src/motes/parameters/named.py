@@ -36,7 +36,7 @@ class Parameters:
     values: Any
     held: Any
 
-    def natural(self, z: jax.Array) -> jax.Array:
+    def natural(self, z: Any) -> jax.Array:
         """Return the parameters `(p,)` at coordinates `(p,)`."""
         size = jnp.where(self.values == 0, 1.0, jnp.abs(self.values))
         each = [_inward(z[i], low, high, size[i]) for i, (low, high) in enumerate(zip(self.lower, self.upper, strict=True))]

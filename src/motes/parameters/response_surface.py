@@ -9,7 +9,7 @@ particles have the same ancestors, which makes them too large. Estimates at plac
 """
 
 from itertools import combinations_with_replacement
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -104,7 +104,7 @@ class _Survey:
         """Return the logarithm of the average likelihood."""
         return float(_log_mean(self.heights(z)))
 
-    def far(self, z: np.ndarray, i: int) -> float:
+    def far(self, z: np.ndarray, i: Any) -> float:
         """Return how far a coordinate goes until the log likelihood falls by about half a nat, on average of both sides."""
         top, step = self.log_likelihood(z), 0.1
         for _ in range(12):
