@@ -120,7 +120,7 @@ class _Survey:
         q = len(self._free)
         even, odd = (np.array(list(combinations_with_replacement(range(q), power))) for power in (2, 3))
         odd = odd if q <= _CUBED else odd[:0]
-        pairs = max(len(even), q + len(odd)) + 6
+        pairs = max(len(even), q + len(odd)) + 16
         drawn = np.asarray(random.normal(random.as_key(turn), (q, pairs), np.dtype(np.float64)))
         length = _REACH * np.sqrt(q) * np.resize([0.7, 1.0, 1.3], pairs)
         one_side = (drawn / np.linalg.norm(drawn, axis=0) * length).T
