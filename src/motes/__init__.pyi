@@ -7,6 +7,7 @@ from . import gaussian as gaussian
 from . import io as io
 from . import laws as laws
 from . import mcmc as mcmc
+from . import models as models
 from . import montecarlo as montecarlo
 from . import parameters as parameters
 from . import planning as planning
@@ -89,6 +90,7 @@ from .models.state_space import StateSpaceModel as StateSpaceModel
 from .models.structure import structure as structure
 from .models.times import times as times
 from .native.choice import engine as engine
+from .parameters.fit import fit as fit
 from .planning.plan import plan as plan
 from .plotting.plot import plot as plot
 from .report.html import report as report

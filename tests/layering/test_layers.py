@@ -16,7 +16,9 @@ SHARED = {"filters": ("interface", "info", "clouds", "needs", "gated", "gaussian
                       "precision", "history", "history_files", "keep", "data", "setup", "pair", "run", "wrapper", "pieces", "late",
                       "stream_steps", "marginal_moves", "frames", "predictive"),
           "mcmc": ("interface", "chains", "continuing", "convergence", "judgement", "jumps"),
-          "montecarlo": ("estimate",), "detect": ("detection",), "parameters": ("posterior", "paths", "augmented")}
+          "montecarlo": ("estimate",), "detect": ("detection",),
+          "parameters": ("posterior", "paths", "augmented", "named", "likelihood", "climbing", "fitted", "response_surface",
+                         "expectation_maximization")}
 """Files of a room of methods that others of the room may import; the methods themselves may not import each other."""
 
 

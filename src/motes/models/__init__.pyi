@@ -1,2 +1,9 @@
 from . import terrain as terrain
 from . import textbook as textbook
+from .levels import local_level as local_level
+from .levels import local_linear_trend as local_linear_trend
+from .regressions import regression as regression
+from .seasons import cycle as cycle
+from .seasons import seasonal as seasonal
+from .structural_series import structural as structural
+from .volatility import stochastic_volatility as stochastic_volatility

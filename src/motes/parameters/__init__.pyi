@@ -1,3 +1,4 @@
+from .fitted import Fit as Fit
 from .iterated_filtering import Iterated as Iterated
 from .iterated_filtering import iterated_filtering as iterated_filtering
 from .liu_west import Tracked as Tracked
