@@ -337,8 +337,8 @@ def test_recorded_flights_are_followed_at_once(tmp_path):
     """Three recordings as if flown at one time and place; plots of a radar among them."""
     lines = ["timestamp,latitude,longitude,groundspeed,track,icao24"]
     for name in ("belevingsvlucht", "alto_adige", "munich"):
-        table = mo.io.read_table(recorded(f"aircraft/adsb/{name}.json.gz"), scenario.REPORT)
-        time, *rest = (table[column] for column in scenario.REPORT)
+        table = mo.io.read_table(recorded(f"aircraft/adsb/{name}.json.gz"), reports.REPORT)
+        time, *rest = (table[column] for column in reports.REPORT)
         seconds = (time - time[0]) / 1e3
         rest[0], rest[1] = rest[0] - np.nanmedian(rest[0]) + 50, rest[1] - np.nanmedian(rest[1]) + 8
         rows = zip(seconds, *rest, strict=True)

@@ -54,7 +54,10 @@ def _dispatch(words: list[str]) -> int:
         print(f"motes {version('motes')}")
         return 0
     if words[0] not in COMMANDS:
-        print(f"motes: expected one of the commands {', '.join(COMMANDS)}, got {words[0][:80]!r}. See motes --help.", file=sys.stderr)
+        from motes.cli.options import perhaps
+
+        hint = perhaps(words[0], COMMANDS) or "See motes --help."
+        print(f"motes: expected one of the commands {', '.join(COMMANDS)}, got {words[0][:80]!r}. {hint}", file=sys.stderr)
         return 2
     return _guarded(words[0], words[1:])
 
@@ -87,6 +90,8 @@ def _guarded(name: str, words: list[str]) -> int:
             raise
         said = f"motes {name}: {line}"
         print(said if len(said) <= LONGEST else said[: LONGEST - 3] + "...", file=sys.stderr)
+        # a proposal to be pasted
+        print(*getattr(reason, "__notes__", ()), sep="\n", end="\n" * bool(getattr(reason, "__notes__", ())), file=sys.stderr)
         return 2
     return 0
 

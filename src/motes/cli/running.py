@@ -26,10 +26,11 @@ from motes.filters.data import checked_data, steps_of
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
-from motes.filters.notices import notices
 from motes.filters.run import run
 from motes.filters.wrapper import Around
+from motes.io import archive
 from motes.io.archive import provenance, whole_file
+from motes.io.clocks import Clock
 from motes.io.files import label
 from motes.io.result_table import Table
 from motes.models.state_space import at_step
@@ -92,7 +93,7 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
                       whole_run(seed, one, job, ys, inputs, keep, path))
             # what is told as it comes is told once: of the filter that the pictures show
             history, seconds = _timed(pieces, advance, job.news() if name == next(iter(worn)) else lambda piece: ())
-            history = history if job.times is None else replace(history, times=np.asarray(job.times))
+            history = history if job.times is None else replace(history, times=job.start + np.asarray(job.times, np.float64))
             outcomes[name] = Outcome(filters[name], history, seconds)
     return outcomes
 
@@ -155,6 +156,15 @@ def write_smoothed(path: Path, seed: int, smoother: Smoother, job: Job, history:
     Table(columns, tuple((step, *map(float, row)) for step, row in enumerate(both))).save(path)
 
 
+def write_dataset(path: Path, history: History, clock: Clock) -> None:
+    """Write a history as NetCDF, its times as dates where those of the measurements are."""
+    data = history.to_xarray()
+    if clock.format and history.times is not None:
+        micro = np.round(np.asarray(history.times, np.float64) * 1e6).astype(np.int64)
+        data = data.assign_coords(time=micro.astype("datetime64[us]").astype("datetime64[ns]"))
+    archive.write_dataset(path, data)
+
+
 def results(outcome: Outcome) -> dict[str, Any]:
     """Return what a table or a summary tells of a run besides its errors."""
     ess = np.asarray(outcome.history.ess)
@@ -164,14 +174,6 @@ def results(outcome: Outcome) -> dict[str, Any]:
     if outcome.history.has_evidence:
         found["log_likelihood"] = float(outcome.history.log_likelihood)
     return found
-
-
-def told(outcomes: Mapping[str, Outcome]) -> None:
-    """Say, after all results, what the runs say unasked: a line for each filter, where there is something."""
-    for name, outcome in outcomes.items():
-        found = notices(outcome.history)
-        if found:
-            print(f"{name}: {' '.join(finding.text for finding in found)}")
 
 
 def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
