@@ -16,6 +16,7 @@ from motes.applications.laser.scans import read_scans, write_scans
 from motes.applications.laser.settings import Settings
 from motes.applications.laser.world import building, driven
 from motes.cli.main import main
+from motes.io.dialect import TableFile
 
 
 def test_a_map_is_read_as_it_is_written(tmp_path):
@@ -120,7 +121,7 @@ def found_by_files(folder, seed, outliers):
     grid, scans = driven(seed, 100.0, 0.0, outliers)
     write_grid(folder / "map.yaml", grid)
     write_scans(folder / "scans.csv", scans)
-    return scored(load(Settings(map=str(folder / "map.yaml"), data=str(folder / "scans.csv")), seed), seed)
+    return scored(load(Settings(map=str(folder / "map.yaml"), data=TableFile(file=str(folder / "scans.csv"))), seed), seed)
 
 
 @pytest.mark.optimized

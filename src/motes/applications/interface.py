@@ -105,6 +105,10 @@ class Job:
         """Return the model from which plans and studies draw measurements; of one that is not to be planned, refuse in one line."""
         return self.model
 
+    def length(self) -> int | None:
+        """Return how many measurements there are of those that come one after the other, as far as is known."""
+        return None
+
     def told(self) -> str:
         """Return what tells its runs from others of the same filter and measurements, so that a killed one goes on from its own alone."""
         return ""

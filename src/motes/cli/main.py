@@ -20,6 +20,7 @@ COMMANDS = {
     "calibrate": "measure what the parts of a filter cost on this machine",
     "report": "write the web page of a study from the folder of its runs",
     "doctor": "print versions, devices and precision",
+    "completion": "print what bash, zsh or fish needs to complete these words",
 }
 
 
@@ -66,7 +67,8 @@ def _usage() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"  {name:<{width}}  {does}" for name, does in COMMANDS.items()]
     return "\n".join(["usage: motes COMMAND [options]", "", "Monte Carlo state estimation.", "", *lines, "",
-                      "motes COMMAND --help tells the options of a command."])
+                      "motes COMMAND --help tells the options of a command.",
+                      'eval "$(motes completion bash)" lets the shell complete them (or zsh).'])
 
 
 def _guarded(name: str, words: list[str]) -> int:

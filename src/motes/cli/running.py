@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import TaskID
 from rich.table import Table as Shown
 
 from motes.applications.interface import Job
 from motes.cli.long_runs import long_run, whole_run
 from motes.core.checks import FileError, need, refuse
-from motes.core.progress import is_shown
+from motes.core.progress import bars
 from motes.core.record import replace
 from motes.core.watchdog import watched
 from motes.filters import keep
@@ -78,11 +78,13 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
         return ", ".join(f"{task.completed:.0f}{f' of {task.total:.0f}' if task.total else ''} steps of {task.description}"
                          for task in progress.tasks)  # fmt: skip
 
-    columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn())
-    outcomes, console = {}, Console(stderr=True)
-    with Progress(*columns, console=console, disable=not is_shown(console, None)) as progress, watched("motes", standing) as further:
+    outcomes = {}
+    with bars("steps") as progress, watched("motes", standing) as further:
+        # all at once, so that the time that is left is that of all
+        tasks = {name: progress.add_task(name, total=job.length() if long else steps_of(ys), start=False) for name in worn}
         for name, one in worn.items():
-            task = progress.add_task(name, total=None if long else steps_of(ys))
+            task = tasks[name]
+            progress.start_task(task)
 
             def advance(steps: int, task: TaskID = task) -> None:
                 progress.advance(task, steps)

@@ -1,17 +1,37 @@
-"""Progress of long work on the error stream, where somebody looks."""
+"""Progress of long work on the error stream, where somebody looks: how much is done, for how long, and how long it will take."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
 
 T = TypeVar("T")
+WINDOW = 600.0
+"""Seconds over which speed is averaged: pieces of long work come minutes apart."""
 
 
 def is_shown(console: "Console", progress: bool | None) -> bool:
     """Tell whether to draw a bar: as was asked, and on a terminal if nothing was."""
     return console.is_terminal if progress is None else progress
+
+
+def bars(unit: str, progress: bool | None = None, passing: bool = False) -> "Progress":
+    """Return bars of work, to be entered with `with`: what is done of each, the time that it took, and the time that is left.
+
+    Args:
+        unit: what is counted, such as "steps".
+        progress: whether to draw them; where the error stream is a terminal, if None.
+        passing: whether they vanish at the end.
+    """
+    from rich.console import Console  # here, because every run loads this file, and few need a bar
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TextColumn(unit), TimeElapsedColumn(),
+               TextColumn("left"), TimeRemainingColumn())  # fmt: skip
+    return Progress(*columns, console=console, disable=not is_shown(console, progress), transient=passing, speed_estimate_period=WINDOW)
 
 
 def tracked(items: Sequence[T], label: str, progress: bool | None) -> Iterable[T]:
@@ -22,8 +42,8 @@ def tracked(items: Sequence[T], label: str, progress: bool | None) -> Iterable[T
         label: beside the bar.
         progress: whether to draw it; where the error stream is a terminal, if None.
     """
-    from rich.console import Console  # here, because every run loads this file, and few need a bar
-    from rich.progress import track
+    def gone_through() -> Iterator[T]:
+        with bars("", progress) as drawn:
+            yield from drawn.track(items, total=len(items), description=label)
 
-    console = Console(stderr=True)
-    return track(items, label, console=console, disable=not is_shown(console, progress))
+    return gone_through()

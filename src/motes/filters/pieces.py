@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from motes.core import checks
-from motes.core.progress import is_shown
+from motes.core.progress import bars
 from motes.core.types import Inputs
 from motes.models.interface import Model
 
@@ -18,13 +18,8 @@ BYTES, STEPS = 16_000_000, 1_000
 
 def pieces(model: Model, measurements: Iterator[Any], inputs: Inputs) -> Iterator[tuple[Any, Inputs]]:
     """Give pieces as `gathered` does, and show how many steps went by."""
-    from rich.console import Console  # here, because every run loads this file, and few need a bar
-    from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), MofNCompleteColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not is_shown(console, None), transient=True) as progress:
-        task = progress.add_task("steps", total=None)
+    with bars("steps", passing=True) as progress:
+        task = progress.add_task("run", total=None)
         for piece, rows in gathered(model, measurements, inputs):
             yield piece, rows
             progress.advance(task, len(piece))

@@ -103,7 +103,6 @@ def chosen_names(
         FileError: two columns have one name, or one is not there.
         MotesError: a unit is told of a column that is not there.
     """
-    check_units(path, names, dialect)
     seen: set[str] = set()
     for name in names:
         if name in seen:
@@ -114,6 +113,7 @@ def chosen_names(
             error = MissingColumnError(f"{label(path)}: expected a column {name!r}, got the columns {', '.join(names)[:160]}.")
             error.path, error.names = path, list(names)
             raise error
+    check_units(path, names, dialect)
     return list(names) if wanted is None else list(dict.fromkeys([*wanted, *(name for name in texts if name in names)]))
 
 

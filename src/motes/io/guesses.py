@@ -128,7 +128,7 @@ def proposing(reason: MissingColumnError, lines: Sequence[str], lost: Sequence[s
         return FileError(f"{said} Perhaps, under [data]: {lines[0]}")
     error = FileError(said + " Perhaps, in the TOML file:" * bool(lines))
     if lines:
-        error.add_note("\n".join(["[data]", f"file = {text(os.fspath(reason.path))}", *lines]))
+        error.add_note("\n".join(["[data]", f"file = {text(os.path.normpath(reason.path))}", *lines]))
     return error
 
 

@@ -56,6 +56,11 @@ def named_columns(path: str | os.PathLike[str], data: NamedDialect) -> list[str]
     return [fixed.get(name, name) for name in column_names(path, data)]
 
 
+def own_unit(data: NamedDialect, role: str) -> str:
+    """Return the unit that the user told of a column, by what it is or by its name; "" for none."""
+    return data.units.get(role, data.units.get(data.columns.get(role, role), ""))
+
+
 def _with_proposal(reason: MissingColumnError, roles: Mapping[str, str], names: Mapping[str, str]) -> FileError:
     """Return a refusal with lines of TOML that name the columns that may be meant."""
     told = {role: name for role, name in names.items() if name in reason.names}

@@ -50,7 +50,7 @@ _OTHERS = {
     "percent": "%", "1/s": "Hz",
 }  # fmt: skip
 """Other names of units."""
-NEAR = 0.06
+NEAR = 0.2
 """Share by which a ratio may miss that of two units and still be taken for it."""
 
 

@@ -9,6 +9,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from motes.core import checks, engine
+from motes.core.progress import bars
 from motes.core.settings import for_another_process, in_force
 from motes.core.watchdog import watched
 from motes.core.workers import Workers
@@ -167,20 +168,10 @@ def _watched(plan: Experiment, tasks: list[Task], store: Any, here: bool) -> Ite
 @contextmanager
 def _bar(plan: Experiment, tasks: list[Task], progress: bool | None) -> Iterator[Callable[[int], None]]:
     """Draw a progress bar over the runs of all filters, with the time that is left."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from motes.core.progress import is_shown
-
-    console = Console(stderr=True)
-    if not is_shown(console, progress):
-        yield lambda runs: None
-        return
-    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     total = plan.runs * len(plan.filters)
     left = _left(tasks)
-    with Progress(*columns, console=console) as drawn:
-        bar = drawn.add_task("", total=total, completed=total - left)
+    with bars("runs", progress) as drawn:
+        bar = drawn.add_task("study", total=total, completed=total - left)
         yield lambda runs: drawn.advance(bar, runs)
 
 

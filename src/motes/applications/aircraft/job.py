@@ -21,6 +21,8 @@ from motes.filters import keep
 from motes.filters.history import History
 from motes.filters.interacting_multiple_model import InteractingMultipleModel
 from motes.filters.jump_markov import JumpMarkovFilter
+from motes.io.dialect import NamedDialect
+from motes.io.named_tables import own_unit
 from motes.io.result_table import Table
 from motes.io.units import back_to
 from motes.laws.observed import value_of
@@ -62,7 +64,7 @@ def load(settings: Settings, seed: int) -> "AircraftJob":
     return AircraftJob(
         model=jumping(track.start, Flight(), radar), ys=jax.tree.map(jnp.asarray, track.ys), inputs=jnp.asarray(track.dt),
         plots=track, path=path, reports=reports, times=times[flown], start=path.start, clock=path.clock, keep=keep.modes,
-        units=settings.data.units,
+        data=settings.data,
         filters={"jump_markov": JumpMarkovFilter(n=200, sampled=("turn",)), "interacting": InteractingMultipleModel()},
         counted=("east", "north"), blocks={"position": ("east", "north"), "velocity": ("v_east", "v_north")},
         lost=("position", scenario.LOST),
@@ -77,13 +79,13 @@ class AircraftJob(Job):
         plots: what the tracker gets, and the truth.
         path: that was flown.
         reports: those of a flight that was made up; otherwise None.
-        units: of columns of the recording that are in others than usual.
+        data: how the recording is written.
     """
 
     plots: scenario.Track
     path: scenario.Path
     reports: Reports | None
-    units: Mapping[str, str]
+    data: NamedDialect
 
     def title(self, steps: int) -> str:
         """Return how many plots there were."""
@@ -105,7 +107,7 @@ class AircraftJob(Job):
         east, north = np.asarray(history.mean, np.float64)[:, :2].T
         places = dict(zip(("latitude", "longitude"), self.path.placed(east, north), strict=True))
         spreads = deviations(history.cov)
-        places = {name: back_to(place, self.units.get(name, ""), "deg") for name, place in places.items()}
+        places = {name: back_to(place, own_unit(self.data, name), "deg") for name, place in places.items()}
         return self.way(history, places, {"east, m": spreads[:, 0], "north, m": spreads[:, 1]})
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:

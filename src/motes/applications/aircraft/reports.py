@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motes.applications.plausible import check_ratio, mend, set_to
+from motes.applications.plausible import CLEAR, check_ratio, mend, set_to
 from motes.core import checks
 from motes.io.clocks import Clock
 from motes.io.columns import Columns
@@ -78,6 +78,12 @@ def part_of(reports: Reports, first: float, start: float, duration: float) -> Re
     return Reports(*(column[kept] for column in reports._replace(timestamp=seconds)))
 
 
+def _steps(latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return meters east and north between successive positions, degrees."""
+    east = EARTH * np.cos(np.radians(latitude[:-1])) * np.radians(wrapped_degrees(np.diff(longitude)))
+    return east, EARTH * np.radians(np.diff(latitude))
+
+
 def check_agreement(source: str, heard: Reports) -> None:
     """Refuse speeds and tracks that contradict the positions, where another unit makes them agree.
 
@@ -85,18 +91,22 @@ def check_agreement(source: str, heard: Reports) -> None:
         FileError: naming the column, with the line of TOML that mends it.
     """
     dt = np.diff(heard.timestamp)
-    shrink = np.cos(np.radians(heard.latitude[:-1]))
-    east = EARTH * shrink * np.radians(wrapped_degrees(np.diff(heard.longitude)))
-    north = EARTH * np.radians(np.diff(heard.latitude))
+    east, north = _steps(heard.latitude, heard.longitude)
     way, speed = np.hypot(east, north), KNOT * heard.groundspeed[:-1]
     moved = (dt > 0) & (way > 0) & (heard.groundspeed[:-1] > FASTER)
     if moved.sum() < LEAST:
         return
-    ratio = float(np.median(speed[moved] * dt[moved] / way[moved]))
-    what = "a groundspeed that agrees with the positions"
-    check_ratio(source, what, ratio, {"groundspeed": "kn"}, ("m/s", "km/h", "mph"))
-    check_ratio(source, "positions that agree with the groundspeed", 1 / ratio, {"latitude": "deg", "longitude": "deg"}, ("rad",))
-    check_ratio(source, "times that agree with positions and groundspeed", ratio, {"timestamp": "s"}, ("ms",))
+
+    def ratio(way: np.ndarray) -> float:
+        return float(np.median(speed[moved] * dt[moved] / way[moved]))
+
+    check_ratio(source, "a groundspeed that agrees with the positions", ratio(way), {"groundspeed": "kn"}, ("m/s", "km/h"))
+    check_ratio(source, "times that agree with positions and groundspeed", ratio(way), {"timestamp": "s"}, ("ms",))
+    if np.abs(heard.latitude).max() < np.pi / 2 and not 1 / CLEAR < ratio(way) < CLEAR:
+        wide = np.hypot(*_steps(np.degrees(heard.latitude), np.degrees(heard.longitude)))
+        if 1 / CLEAR < ratio(wide) < CLEAR:
+            units = {"latitude": "rad", "longitude": "rad"}
+            mend(source, "positions that agree with the groundspeed", "some that agree in radians", "Radians", set_to(as_toml(units)))
     course = np.arctan2(east, north)[moved]
 
     def off(track: np.ndarray) -> float:

@@ -90,6 +90,10 @@ class ModeSJob(Job):
         """Run a filter; the pieces are of few messages, so that these are told as they come."""
         return run_in_chunks(seed, filter, self.model, ys, inputs, keep, min(chunk, AT_A_TIME * BITS), after)
 
+    def track(self, history: History) -> None:
+        """Return nothing: what is found are messages, whose table has the positions."""
+        return
+
     def about(self) -> str:
         """Tell of the recording."""
         seconds = len(self.samples) / RATE

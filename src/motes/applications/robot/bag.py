@@ -24,7 +24,7 @@ FEWEST = 20
 """Ranges, and steps in which it moved, from which on units are judged."""
 
 
-def read_recording(path: str | os.PathLike[str], topics: Topics, units: Mapping[str, str]) -> RangeOnlyRecording:
+def read_recording(path: str | os.PathLike[str], topics: Topics, units: Mapping[str, str] | None = None) -> RangeOnlyRecording:
     """Read a recording of ranges to beacons from a bag, or from a MATLAB file of the Plaza form.
 
     Args:
@@ -41,7 +41,7 @@ def read_recording(path: str | os.PathLike[str], topics: Topics, units: Mapping[
             checks.refuse("units", "none of a bag, whose messages have theirs", ", ".join(units)[:80])
         return _of_bag(path, topics)
     found = read_plaza(path, units)
-    check_units(found, units)
+    check_units(found, units or {})
     return found
 
 

@@ -44,10 +44,10 @@ def load(settings: Settings, seed: int) -> RadarJob:
     else:
         (times, scans, clock), before = reading.read_scans(settings.data, settings.period), 0.0
         names, truth = reading.read_truth(settings, times) if settings.truth else ((), None)
-        check_units(settings.data, times, scans, radar)
+        check_units(settings.data, times, scans)
     room = max(*(len(scan) + 1 for scan in scans), room_for(radar.false))
     common = {"radar": radar, "world": world, "seed": seed, "counted": ("east", "north"), "start": before + float(times[0]),
-              "clock": clock, "units": settings.data.units}  # fmt: skip
+              "clock": clock, "data": settings.data}  # fmt: skip
     if settings.targets != 1 or len(names) > 1:
         return SeveralJob(
             model=Tracker(radar, room)(*INBOUND), tracker=Tracker(radar, room),

@@ -13,6 +13,7 @@ from motes.applications.target_tracking.world import range_rate
 from motes.core.record import replace as with_policy
 from motes.filters.history import History
 from motes.filters.run import run
+from motes.io.named_tables import own_unit
 from motes.io.result_table import Table
 from motes.io.units import back_to
 from motes.models.state_space import StateSpaceModel
@@ -79,8 +80,8 @@ class TrackingJob(RadarJob):
     def track(self, history: History) -> Table:
         """Return the places that a run found, also as plots have them; standard deviations in meters."""
         east, north = np.asarray(history.mean, np.float64)[:, :2].T
-        polar = {"range": back_to(np.hypot(east, north), self.units.get("range", ""), "m"),
-                 "azimuth": back_to(np.degrees(np.arctan2(east, north)) % 360, self.units.get("azimuth", ""), "deg")}  # fmt: skip
+        polar = {"range": back_to(np.hypot(east, north), own_unit(self.data, "range"), "m"),
+                 "azimuth": back_to(np.degrees(np.arctan2(east, north)) % 360, own_unit(self.data, "azimuth"), "deg")}  # fmt: skip
         spreads = deviations(history.cov)
         return self.way(history, polar | {"east, m": east, "north, m": north}, {"east, m": spreads[:, 0], "north, m": spreads[:, 1]})
 

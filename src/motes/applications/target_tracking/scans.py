@@ -22,8 +22,8 @@ STATE = {"time": "s", "east": "m", "north": "m", "v_east": "m/s", "v_north": "m/
 """Columns, and the unit of each."""
 TARGET = "target"
 """Column of the truth that tells targets apart."""
-FAR_APART = 100
-"""Scans that are so many times their period apart, by whole numbers, have times in milliseconds."""
+FEWEST, FAR_APART = 4, 100
+"""So many steps between scans at least that are so many times their period, by whole numbers, are in milliseconds."""
 LONGEST = 10_000
 """Scans that a file is filled up to at most."""
 CATEGORIES, BLANK = (1, 20, 21, 34, 48, 62), 9
@@ -79,7 +79,7 @@ def _check_seconds(source: str, times: np.ndarray, period: float) -> None:
         FileError: they are.
     """
     steps = np.diff(times)
-    if period and len(steps) and (steps == np.round(steps)).all() and np.median(steps) > FAR_APART * period:
+    if period and len(steps) >= FEWEST and (steps == np.round(steps)).all() and np.median(steps) > FAR_APART * period:
         mend(source, f"scans {period:g} s apart", f"{np.median(steps):g} s at the median", "Milliseconds", set_to(as_toml({"time": "ms"})))
 
 

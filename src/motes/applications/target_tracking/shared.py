@@ -1,6 +1,5 @@
 """What a job of one target and a job of several share: the radar, and files as a user's own would come."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,13 +24,13 @@ class RadarJob(Job):
         radar: its numbers.
         world: what was made up or drawn along a recording, or None.
         seed: of the run.
-        units: of columns of the user's table that are in others than usual.
+        data: how the user's table is written.
     """
 
     radar: Radar
     world: World | None
     seed: int
-    units: Mapping[str, str]
+    data: TableFile
 
     def about(self) -> str:
         """Tell of scans and plots."""

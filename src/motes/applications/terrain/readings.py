@@ -1,5 +1,6 @@
 """Units, signs and datum of altitudes and heights, by what they say together with the map."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,8 @@ from motes.models.terrain import TerrainMap
 
 FAR_OFF, NEAR = 3.0, 0.5
 """Heights that contradict the map by so many standard deviations are read otherwise, which must leave at most this share of the gap."""
+SHIFTS = (-2.0, -1.0, 0.0, 1.0, 2.0)
+"""By how many standard deviations the track may be off, north and east."""
 SLOWEST = 0.5
 """An aircraft that is slower than this for most of a flight, in m/s, has times in other units."""
 
@@ -48,37 +51,51 @@ def check_readings(
         prior: how far off the inertial track may be.
 
     Raises:
-        FileError: naming the columns, with the line of TOML that mends it.
+        FileError: naming the columns, with the line of TOML that mends it; of several that may, the likeliest first.
     """
-    north, east = track
     name = recording.inertial[2]
     altitude, height = table[name], table[recording.height]
-    known = np.isfinite(height) & np.asarray(terrain.inside(north, east))
-    ground = np.asarray(terrain.height(np.where(known, north, 0), np.where(known, east, 0)), np.float64)
-    known &= np.isfinite(ground)
-    if not known.any():
+    grounds = _grounds(terrain, track, np.isfinite(height), prior.horizontal_position)
+    if not len(grounds):
         return
-    above, reading, below = altitude[known], height[known], ground[known]
+
+    def off(one: Reading) -> np.ndarray:
+        return one.altitude * altitude - one.height * height - one.terrain * grounds
 
     def gap(one: Reading) -> float:
-        return abs(float(np.median(one.altitude * above - one.height * reading - one.terrain * below)))
+        # an offset, and how much fixes scatter about it, wherever the track is
+        center = np.nanmedian(off(one), axis=1)
+        return float(np.min(np.abs(center) + np.nanmedian(np.abs(off(one) - center[:, None]), axis=1)))
 
     as_said = Reading(1, 1, 1, "", "")
-    # the track is beside the true one, so that the ground below is another piece of the same relief
-    usual = prior.vertical_position + float(np.nanstd(np.asarray(terrain.heights))) / 2
-    if gap(as_said) <= FAR_OFF * usual:
+    usual = FAR_OFF * prior.vertical_position + float(np.nanstd(np.asarray(terrain.heights))) / 2
+    if gap(as_said) <= usual:
         return
-    meant = min(_readings(files, recording, name), key=gap)
-    what, given = "altitude minus radar minus terrain about 0 m", f"{gap(as_said):.0f} m at the median fix"
-    if gap(meant) < NEAR * gap(as_said) and gap(meant) <= FAR_OFF * usual:
-        mend(table.source, what, given, meant.said, meant.hint)
-    off = above - reading - below
-    shift = float(np.median(off))
-    if np.median(np.abs(off - shift)) < usual:
+    meant = [one for one in _readings(files, recording, name) if gap(one) < min(NEAR * gap(as_said), usual)]
+    centers = np.nanmedian(off(as_said), axis=1)
+    scatter = np.nanmedian(np.abs(off(as_said) - centers[:, None]), axis=1)
+    meant = sorted(meant, key=gap)[:2]
+    if scatter.min() < prior.vertical_position:
+        shift = float(centers[np.argmin(scatter)])
         unit = 10 ** np.floor(np.log10(abs(shift)))
-        wide = unit * np.ceil(abs(shift) / unit)
-        mend(table.source, what, f"{shift:.0f} m throughout", "Are altitudes above another zero (a datum, pressure)",
-             set_to(f"vertical_position = {wide:g}", "prior"))  # fmt: skip
+        meant.append(Reading(1, 1, 1, f"altitudes are above another zero by some {shift:.0f} m (a datum, pressure)",
+                             set_to(f"vertical_position = {unit * np.ceil(abs(shift) / unit):g}", "prior")))  # fmt: skip
+    if meant:
+        more = "".join(f" Or {one.said}? {one.hint}" for one in meant[1:])
+        mend(table.source, "altitude minus radar minus terrain about 0 m", f"{gap(as_said):.0f} m at the least",
+             meant[0].said, meant[0].hint + more)  # fmt: skip
+
+
+def _grounds(terrain: TerrainMap, track: tuple[np.ndarray, np.ndarray], known: np.ndarray, spread: float) -> np.ndarray:
+    """Return the heights `(k, t)` below a track, and below it as it may be off by so much; NaN where nothing is known, which is seldom."""
+    found = []
+    for shift in itertools.product(SHIFTS, SHIFTS):
+        north, east = (part + along * spread for part, along in zip(track, shift, strict=True))
+        there = known & np.asarray(terrain.inside(north, east))
+        ground = np.asarray(terrain.height(np.where(there, north, 0), np.where(there, east, 0)), np.float64)
+        found.append(np.where(there, ground, np.nan))
+    counts = np.array([np.isfinite(ground).sum() for ground in found])
+    return np.stack(found)[counts > max(counts[len(counts) // 2] // 2, 0)] if counts.max() else np.zeros((0, len(known)))
 
 
 def _readings(files: MapFiles, recording: Recording, altitude: str) -> list[Reading]:
@@ -98,7 +115,7 @@ def _readings(files: MapFiles, recording: Recording, altitude: str) -> list[Read
     swapped = f'inertial = ["{north}", "{east}", "{height}"], and height = "{altitude}"'
     return [
         *found,
-        Reading(1, 1, factor, f"The map is {times_too(1 / factor)}: {_WORDS[unit]}", set_to(f'unit = "{unit}"', "map")),
+        Reading(1, 1, factor, f"the map is {times_too(1 / factor)}: {_WORDS[unit]}", set_to(f'unit = "{unit}"', "map")),
         Reading(1, -1, 1, f"{height!r} has the other sign", "Write heights above terrain as positive numbers."),
         Reading(-1, 1, 1, f"{altitude!r} is positive downward", "Write altitudes as positive numbers."),
         Reading(-1, -1, 1, f"{altitude!r} and {height!r} are exchanged", set_to(swapped)),

@@ -90,6 +90,8 @@ def read_recording(terrain: TerrainMap, recording: Recording) -> Columns:
             value = table[name][np.argmax(beyond)]
             hint = "Leave the cell empty if nothing was measured" + (
                 f", or say so under [data]: missing = [{value:g}]" if name not in recording.inertial else "") + "."  # fmt: skip
+        if name == recording.height and np.nanmedian(table[name]) < 0:
+            hint = "They are below 0 for the most part: write heights above terrain as positive numbers."
         _refuse_rows(table, name, beyond, f"meters between {low:g} and {high:g}", hint)
     return table
 
