@@ -19,7 +19,7 @@ OPTIONS: dict[str, tuple[type, tuple[str, ...]]] = {
     "calibrate": (Calibrate, ()), "report": (Report, ()),
 }  # fmt: skip
 
-BASH = """# completion of motes: eval "$(motes completion {shell})"
+BASH = """# completion of motes: eval "$(motes completion {own})"
 _motes() {{
     local cur="${{COMP_WORDS[COMP_CWORD]}}" command="${{COMP_WORDS[1]}}" first="${{COMP_WORDS[2]}}" words=""
     if [ "$COMP_CWORD" -eq 1 ]; then
@@ -36,7 +36,7 @@ _motes() {{
         case "$command" in
             demo) words="{demonstrations}" ;;
             run|plan|study) words="{applications}" ;;
-            completion) words="{shells}" ;;
+            completion) words="{known}" ;;
         esac
     elif [[ "$cur" != -* ]]; then
         words=""
@@ -74,8 +74,8 @@ def _bash(shell: str) -> str:
 
     there = [*applications(), *demonstrations()]
     script = BASH.format(
-        shell=shell, commands=" ".join(COMMANDS), demonstrations=" ".join(there), applications=" ".join(applications()),
-        shells=" ".join(SHELLS), commands_cases="\n".join(f'        {name}) words="{" ".join(_flags(name))}" ;;' for name in OPTIONS),
+        own=shell, commands=" ".join(COMMANDS), demonstrations=" ".join(there), applications=" ".join(applications()),
+        known=" ".join(SHELLS), commands_cases="\n".join(f'        {name}) words="{" ".join(_flags(name))}" ;;' for name in OPTIONS),
         applications_cases="\n".join(f'        *" {name}") words="$words {" ".join(_own(name))}" ;;' for name in there),
     )  # fmt: skip
     return f"autoload -U +X bashcompinit && bashcompinit\n{script}" if shell == "zsh" else script

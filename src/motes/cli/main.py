@@ -92,8 +92,10 @@ def _guarded(name: str, words: list[str]) -> int:
             raise
         said = f"motes {name}: {line}"
         print(said if len(said) <= LONGEST else said[: LONGEST - 3] + "...", file=sys.stderr)
-        # a proposal to be pasted
-        print(*getattr(reason, "__notes__", ()), sep="\n", end="\n" * bool(getattr(reason, "__notes__", ())), file=sys.stderr)
+        for note in getattr(reason, "__notes__", ()):
+            # a table of TOML to be pasted; other libraries have notes of their own
+            if note.startswith("["):
+                print(note, file=sys.stderr)
         return 2
     return 0
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from motes.core import checks
-from motes.io.columns import Cells, Columns, MissingColumnError, check_units
+from motes.io.columns import Cells, Columns, MissingColumnError, check_names_of_units
 from motes.io.dialect import PLAIN, Dialect
 from motes.io.files import foreign, label, look, reject
 from motes.io.guesses import guessed
@@ -49,10 +49,10 @@ def read_arrays(
     try:
         return read_table(path, names, (), dialect, expected)
     except MissingColumnError as reason:
-        raise _with_proposal(reason, names or ()) from None
+        raise _with_likely_names(reason, names or ()) from None
 
 
-def _with_proposal(reason: MissingColumnError, names: Sequence[str]) -> checks.FileError:
+def _with_likely_names(reason: MissingColumnError, names: Sequence[str]) -> checks.FileError:
     """Return a refusal with what the columns may be called instead."""
     lost = [name for name in names if name not in reason.names]
     found = guessed(lost, [name for name in reason.names if name not in names])
@@ -82,6 +82,6 @@ def _numeric(path: str | os.PathLike[str], arrays: dict[str, np.ndarray], cells:
              for name, array in arrays.items() if array.ndim and array.dtype.kind in "biufMm"}  # fmt: skip
     if not found:
         reject(label(path), "at least one array of numbers", f"{', '.join(arrays)[:160] or 'none'}")
-    check_units(path, list(found), cells.dialect)
+    check_names_of_units(path, list(found), cells.dialect)
     return {name: cells.plain(name, array.astype(np.float64)) if name in cells.dialect.units else
             cells.plain(name, array) if array.dtype.kind == "f" else array for name, array in found.items()}  # fmt: skip

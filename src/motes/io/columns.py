@@ -113,7 +113,7 @@ def chosen_names(
             error = MissingColumnError(f"{label(path)}: expected a column {name!r}, got the columns {', '.join(names)[:160]}.")
             error.path, error.names = path, list(names)
             raise error
-    check_units(path, names, dialect)
+    check_names_of_units(path, names, dialect)
     return list(names) if wanted is None else list(dict.fromkeys([*wanted, *(name for name in texts if name in names)]))
 
 
@@ -221,7 +221,7 @@ class Cells:
         return f"If nothing was measured there: {code}." if self.asked else 'Name the columns to read: columns = ["a", "b"].'
 
 
-def check_units(path: Any, names: Sequence[str], dialect: Dialect) -> None:
+def check_names_of_units(path: Any, names: Sequence[str], dialect: Dialect) -> None:
     """Refuse units of columns that are not there.
 
     Raises:

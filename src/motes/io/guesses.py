@@ -61,12 +61,12 @@ def guessed(roles: Iterable[str], columns: Iterable[str]) -> dict[str, Guess]:
     taken: set[str] = set()
     for score, _, role, column in scored:
         if score > 0 and role not in found and column not in taken:
-            found[role] = Guess(column, split(column)[1])
+            found[role] = Guess(column, words_and_unit(column)[1])
             taken.add(column)
     return found
 
 
-def split(column: str) -> tuple[list[str], str]:
+def words_and_unit(column: str) -> tuple[list[str], str]:
     """Return the words of the name of a column, and the unit that it tells; "" for none."""
     spelled = re.sub("[äöüÄÖÜ]", lambda umlaut: _UMLAUTS[umlaut[0].lower()], column)
     plain = unicodedata.normalize("NFKD", spelled).encode("ascii", "ignore").decode()
@@ -84,7 +84,7 @@ _UMLAUTS = {"ä": "ae", "ö": "oe", "ü": "ue"}
 
 def _likeness(role: str, column: str) -> float:
     """Return how much a column looks like a role, 0 for not at all."""
-    words, _ = split(column)
+    words, _ = words_and_unit(column)
     name = "_".join(words)
     if not words:
         return 0.0

@@ -110,9 +110,9 @@ def _numbers(source: Cells, name: str, cells: list[Any]) -> tuple[np.ndarray, Cl
             values = np.array([np.nan if cell is None else cell for cell in cells], np.float64)
         if not np.isinf(values).any():
             return source.plain(name, values), None
-    return source.column(name, ["" if cell is None else _spelled(cell, source)[:200] for cell in cells])
+    return source.column(name, ["" if cell is None else _cell_text(cell, source)[:200] for cell in cells])
 
 
-def _spelled(cell: Any, source: Cells) -> str:
+def _cell_text(cell: Any, source: Cells) -> str:
     """Return a cell as text; a number has the mark of decimals of texts beside it."""
     return str(cell).replace(".", source.dialect.decimal) if type(cell) is float else str(cell)

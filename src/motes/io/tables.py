@@ -65,7 +65,7 @@ def read_table(
     """
     size, start = look(path, 4)
     wanted = None if columns is None else [columns] if isinstance(columns, str) else list(columns)
-    _check(dialect)
+    _check_marks(dialect)
 
     def cells(word: str, lines: Sequence[int]) -> Cells:
         return Cells(path, word, lines, dialect, expected or {}, wanted is not None)
@@ -78,7 +78,7 @@ def read_table(
     return _read_csv(path, data, wanted, texts, cells("line", ()))
 
 
-def _check(dialect: Dialect) -> None:
+def _check_marks(dialect: Dialect) -> None:
     """Refuse marks that are none."""
     if dialect.decimal not in (".", ","):
         refuse("decimal", '"." or ","', repr(dialect.decimal[:20]))

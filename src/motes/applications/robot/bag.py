@@ -41,11 +41,11 @@ def read_recording(path: str | os.PathLike[str], topics: Topics, units: Mapping[
             checks.refuse("units", "none of a bag, whose messages have theirs", ", ".join(units)[:80])
         return _of_bag(path, topics)
     found = read_plaza(path, units)
-    check_units(found, units or {})
+    check_agrees(found, units or {})
     return found
 
 
-def check_units(recording: RangeOnlyRecording, units: Mapping[str, str]) -> None:
+def check_agrees(recording: RangeOnlyRecording, units: Mapping[str, str]) -> None:
     """Refuse a recording whose numbers contradict its truth, where another unit makes them agree with it.
 
     Raises:

@@ -108,8 +108,8 @@ def _readings(files: MapFiles, recording: Recording, altitude: str) -> list[Read
         unit, factor = _other(told[names[0]])
         others = {name: given for name, given in told.items() if given != "m"} | dict.fromkeys(names, unit)
         both = f"{altitude!r} minus {height!r} is" if len(names) == 2 else f"{names[0]!r} is"
-        scales = [factor if changes else 1.0 for changes in factors]
-        found.append(Reading(*scales, 1.0, f"{both} {times_too(1 / factor)}: {_WORDS[unit]}", set_to(as_toml(others))))
+        of_altitude, of_height = (factor if changes else 1.0 for changes in factors)
+        found.append(Reading(of_altitude, of_height, 1.0, f"{both} {times_too(1 / factor)}: {_WORDS[unit]}", set_to(as_toml(others))))
     unit, factor = _other(files.unit)
     north, east = recording.inertial[:2]
     swapped = f'inertial = ["{north}", "{east}", "{height}"], and height = "{altitude}"'

@@ -8,7 +8,7 @@ from motes.applications.terrain.settings import Recording
 from motes.core import checks
 from motes.core.record import replace
 from motes.io.columns import Columns, MissingColumnError
-from motes.io.guesses import Guess, column, guessed, proposing, split
+from motes.io.guesses import Guess, column, guessed, proposing, words_and_unit
 from motes.io.tables import read_table
 from motes.models.terrain import TerrainMap
 
@@ -77,7 +77,7 @@ def read_recording(terrain: TerrainMap, recording: Recording) -> Columns:
     try:
         table = read_table(recording.file, list(columns.values()), (), dialect, units_of(terrain, recording))
     except MissingColumnError as reason:
-        raise _with_proposal(reason, recording) from None
+        raise _with_columns(reason, recording) from None
     north, east, altitude = recording.inertial
     for name in recording.inertial:
         _refuse_rows(table, name, np.isnan(table[name]), "a number in every row (only the altimeter may miss)")
@@ -96,7 +96,7 @@ def read_recording(terrain: TerrainMap, recording: Recording) -> Columns:
     return table
 
 
-def _with_proposal(reason: MissingColumnError, recording: Recording) -> checks.FileError:
+def _with_columns(reason: MissingColumnError, recording: Recording) -> checks.FileError:
     """Return a refusal with lines of TOML that name the columns that may be meant."""
     asked = {role: name for role, name in roles(recording).items() if not role.startswith("true")}
     there = {role: Guess(name, "") for role, name in asked.items() if name in reason.names}
@@ -104,7 +104,7 @@ def _with_proposal(reason: MissingColumnError, recording: Recording) -> checks.F
     found = there | guessed([role for role in asked if role not in there], [name for name in reason.names if name not in taken])
     lost = [role for role in asked if role not in found]
     track = [role for role in asked if role not in ("time", "height")]
-    words = {word for role in track[:2] if role in found for word in split(found[role].column)[0]}
+    words = {word for role in track[:2] if role in found for word in words_and_unit(found[role].column)[0]}
     units = dict.fromkeys(asked, "m") | {"time": "s", "latitude": "deg", "longitude": "deg"}
     moved = not set(track) <= set(there)
     lines = ['coordinates = "map"'] if moved and words & {"lat", "latitude", "lon", "long", "longitude"} else []
