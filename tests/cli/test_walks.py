@@ -203,6 +203,8 @@ def test_units_of_plots_are_told_and_taken(tmp_path, monkeypatch, capsys, units)
 
     monkeypatch.chdir(tmp_path)
     plots(units)
+    Path("wrong.toml").write_text('application = "target_tracking"\n[data]\nfile = "plots.csv"\nunits = { rnge = "km" }\n')
+    refused(capsys, ["run", "wrong.toml"], "units", "'rnge'", "Perhaps 'range' is meant.")
     line = "units = { " + ", ".join(f'{name} = "{unit}"' for name, unit in units.items()) + " }"
     refused(capsys, ["run", "target_tracking", "--data", "plots.csv"], "plots.csv", line)
     assert load(Settings(data=TableFile(file="plots.csv", units=units)), 0).times[-1] == 38.0

@@ -37,7 +37,9 @@ def read_named(
             refuse("columns", f"what is asked for: {', '.join(there)}", repr(key[:60]), "It stands left of its name in the file.")
     names = {role: data.columns.get(role, role) for role in (*roles, *texts)}
     own = {names.get(key, key): unit for key, unit in data.units.items()}
-    dialect = replace(data, units={name: unit for name, unit in own.items() if not beside or name in names.values()})
+    # units of columns of the tables beside this one are none of its own; of a name that is nobody's it is told
+    others = {name for role in beside for name in (role, data.columns.get(role, role))} - {*names.values()}
+    dialect = replace(data, units={name: unit for name, unit in own.items() if name not in others})
     expected = {names[role]: unit for role, unit in roles.items() if unit}
     try:
         table = read_table(path, [names[role] for role in roles], [names[text] for text in texts], dialect, expected)
