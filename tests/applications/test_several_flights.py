@@ -13,6 +13,7 @@ import pytest
 import motes as mo
 from data import recorded, refused
 from motes.applications.aircraft import scenario
+from motes.applications.aircraft.reports import REPORT
 from motes.applications.target_tracking import scans as reading
 from motes.applications.target_tracking import tracks as managed
 from motes.applications.target_tracking.beginning import Beginning, beginnings
@@ -21,6 +22,7 @@ from motes.applications.target_tracking.settings import Radar, Settings
 from motes.applications.target_tracking.several import SeveralJob
 from motes.applications.target_tracking.world import World, made_up, range_rate, seen
 from motes.cli.main import main
+from motes.io.dialect import TableFile
 from motes.laws.observed import Observed
 
 pytestmark = pytest.mark.jax
@@ -147,7 +149,7 @@ def job_of(folder, states, names, seed=1):
     world = World(PERIOD * np.arange(len(states)), names, states, seen(np.random.default_rng(seed), states, RADAR))
     reading.written_scans(folder / "plots.csv", world.times, world.scans)
     reading.written_truth(folder / "truth.csv", world)
-    return load(Settings(data=str(folder / "plots.csv"), truth=str(folder / "truth.csv"), period=0.0), 0)
+    return load(Settings(data=TableFile(file=str(folder / "plots.csv")), truth=str(folder / "truth.csv"), period=0.0), 0)
 
 
 def ran(job):
@@ -202,7 +204,7 @@ def test_a_target_that_gives_two_plots_keeps_one_track(tmp_path):
     both = [seen(generator, states, Radar(false=1e-6, detection=0.99)) for _ in range(2)]
     scans = [np.concatenate(pair) for pair in zip(*both, strict=True)]
     reading.written_scans(tmp_path / "plots.csv", PERIOD * np.arange(30), scans)
-    history = ran(load(Settings(data=str(tmp_path / "plots.csv"), targets=0), 0))
+    history = ran(load(Settings(data=TableFile(file=str(tmp_path / "plots.csv")), targets=0), 0))
     counts = (history.kept["exists"] > 0).sum(axis=1)
     assert counts.shape == (30,) and (counts[2:] == 1).all()
 
@@ -242,7 +244,7 @@ def test_room_doubles_when_it_is_full(run_of_four):
 def test_true_states_are_told_apart_by_target(tmp_path):
     rows = ["0,0,0,1,0,a", "0,9,0,1,0,007", "2,2,0,1,0,a", "1,10,0,1,0,007"]
     (tmp_path / "t.csv").write_text("\n".join(["time,east,north,v_east,v_north,target", *rows]) + "\n")
-    names, states = reading.read_truth(str(tmp_path / "t.csv"), np.array([0.0, 1.0, 2.0]))
+    names, states = reading.read_truth(Settings(truth=str(tmp_path / "t.csv")), np.array([0.0, 1.0, 2.0]))
     assert names == ("a", "007")
     np.testing.assert_array_equal(states[..., 0], [[0, 9], [1, 10], [2, np.nan]])
     assert made_up(3, 20, PERIOD, RADAR).names == ("1",)
@@ -256,7 +258,7 @@ def test_true_states_are_told_apart_by_target(tmp_path):
 def test_true_states_that_cannot_be_used_are_refused(rows, words, tmp_path):
     (tmp_path / "t.csv").write_text("\n".join(["time,east,north,v_east,v_north,target", *rows]) + "\n")
     with pytest.raises(mo.MotesError) as error:
-        reading.read_truth(str(tmp_path / "t.csv"), np.zeros(2))
+        reading.read_truth(Settings(truth=str(tmp_path / "t.csv")), np.zeros(2))
     refused(error, "t.csv", *words)
 
 
@@ -264,7 +266,7 @@ def test_true_states_that_cannot_be_used_are_refused(rows, words, tmp_path):
 def test_plots_as_radars_send_them_are_refused(start, tmp_path):
     (tmp_path / "plots.ast").write_bytes(start + bytes(range(60)))
     with pytest.raises(mo.MotesError) as error:
-        load(Settings(data=str(tmp_path / "plots.ast")), 0)
+        load(Settings(data=TableFile(file=str(tmp_path / "plots.ast"))), 0)
     refused(error, "plots.ast", "ASTERIX", "pip install asterix_decoder", "time (s), range (m", "range_rate (m/s)")
 
 
@@ -284,7 +286,7 @@ def reports(folder):
 def test_plots_are_drawn_along_a_recording(tmp_path):
     file, radar = reports(tmp_path), Radar(false=1e-3)
     middle = np.median([-78e3 + 300 * np.arange(0, 101, 5), 10e3 - 100 * np.arange(0, 101, 5)])
-    settings = Settings(data=file, scans=50, site=Settings().site.__class__(-middle, 0.0), radar=radar)
+    settings = Settings(data=TableFile(file=file), scans=50, site=Settings().site.__class__(-middle, 0.0), radar=radar)
     job = load(settings, 0)
     assert isinstance(job, SeveralJob)
     assert job.targets == ("4b1", "39e2")
@@ -296,7 +298,7 @@ def test_plots_are_drawn_along_a_recording(tmp_path):
     first = [plots for plots in job.world.scans if len(plots)][0]
     assert len(first) == 1 and abs(first[0, 0] - 10e3) < 800 and abs(first[0, 2] + 100) < 10
     with pytest.raises(mo.MotesError) as error:
-        load(Settings(data=file, radar=Radar(farthest=10.0)), 0)
+        load(Settings(data=TableFile(file=file), radar=Radar(farthest=10.0)), 0)
     refused(error, "site", "within 10 m of a flight", "2 flights further off")
 
 
@@ -337,14 +339,14 @@ def test_recorded_flights_are_followed_at_once(tmp_path):
     """Three recordings as if flown at one time and place; plots of a radar among them."""
     lines = ["timestamp,latitude,longitude,groundspeed,track,icao24"]
     for name in ("belevingsvlucht", "alto_adige", "munich"):
-        table = mo.io.read_table(recorded(f"aircraft/adsb/{name}.json.gz"), scenario.REPORT)
-        time, *rest = (table[column] for column in scenario.REPORT)
+        table = mo.io.read_table(recorded(f"aircraft/adsb/{name}.json.gz"), REPORT)
+        time, *rest = (table[column] for column in REPORT)
         seconds = (time - time[0]) / 1e3
         rest[0], rest[1] = rest[0] - np.nanmedian(rest[0]) + 50, rest[1] - np.nanmedian(rest[1]) + 8
         rows = zip(seconds, *rest, strict=True)
         lines += [",".join([*("" if np.isnan(cell) else repr(float(cell)) for cell in row), name]) for row in rows]
     (tmp_path / "adsb.csv").write_text("\n".join(lines) + "\n")
-    job = load(Settings(data=str(tmp_path / "adsb.csv"), scans=600, radar=Radar(farthest=150e3)), 0)
+    job = load(Settings(data=TableFile(file=str(tmp_path / "adsb.csv")), scans=600, radar=Radar(farthest=150e3)), 0)
     history = ran(job)
     scores = {score.name: score.value for score in job.scores(history)}
     print(scores, job.verdict(history))

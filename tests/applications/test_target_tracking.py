@@ -20,6 +20,7 @@ from motes.applications.target_tracking.settings import Radar, Settings
 from motes.applications.target_tracking.shared import LOST
 from motes.applications.target_tracking.world import SPEED, made_up
 from motes.cli.main import main
+from motes.io.dialect import TableFile
 from motes.laws.observed import Observed
 from motes.plotting.animation import Animation
 
@@ -145,15 +146,15 @@ def write(path, rows, head="time,range,azimuth,range_rate"):
 def test_scans_are_read_as_they_stand(tmp_path):
     """Azimuths are from north, clockwise; times of one scan are one; a row of a time alone, and a gap, are scans that saw nothing."""
     rows = ["0,1000,90,5", "0,2000,0,-5", "2,,,", "4,1500,180,1", "10,1500,270,1"]
-    times, scans = reading.read_scans(write(tmp_path / "a.csv", rows), 2.0)
+    times, scans, _ = reading.read_scans(TableFile(file=write(tmp_path / "a.csv", rows)), 2.0)
     assert times.tolist() == [0, 2, 4, 6, 8, 10]
     assert [len(scan) for scan in scans] == [2, 0, 1, 0, 0, 1]
     np.testing.assert_allclose(scans[0], [[1000, 0, 5], [2000, np.pi / 2, -5]], atol=1e-12)
     np.testing.assert_allclose(np.abs(scans[5][0]), [1500, np.pi, 1], atol=1e-12)
-    assert len(reading.read_scans(str(tmp_path / "a.csv"), 0.0)[1]) == 4
+    assert len(reading.read_scans(TableFile(file=str(tmp_path / "a.csv")), 0.0)[1]) == 4
     world = made_up(1, 12, 2.0, RADAR)
     reading.written_scans(tmp_path / "b.csv", world.times, world.scans)
-    times, scans = reading.read_scans(str(tmp_path / "b.csv"), 0.0)
+    times, scans, _ = reading.read_scans(TableFile(file=str(tmp_path / "b.csv")), 0.0)
     np.testing.assert_allclose(times, world.times)
     for one, other in zip(scans, world.scans, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-4)
@@ -168,7 +169,7 @@ def test_scans_are_read_as_they_stand(tmp_path):
 ])  # fmt: skip
 def test_files_that_cannot_be_used_are_refused(rows, words, tmp_path):
     with pytest.raises(mo.MotesError) as error:
-        load(Settings(data=write(tmp_path / "a.csv", rows)), 0)
+        load(Settings(data=TableFile(file=write(tmp_path / "a.csv", rows))), 0)
     refused(error, *words)
 
 

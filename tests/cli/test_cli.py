@@ -56,8 +56,8 @@ def change(folder, old, new):
 def test_demo_writes_everything(demo):
     names = {path.name for path in demo.iterdir()}
     histories = {f"{filter}.{form}" for filter in ("marginalized", "particle") for form in ("nc", "npz")}
-    assert names == histories | {"summary.json", "map.png", "states.png", "error.png", "flight.csv", "terrain.toml",
-                                 "jacksboro_fault_dem.npz"}
+    assert names == histories | {"summary.json", "track.csv", "particle_track.csv", "map.png", "states.png", "error.png", "flight.csv",
+                                 "terrain.toml", "jacksboro_fault_dem.npz"}
     summary = json.loads((demo / "summary.json").read_text())
     assert summary["settings"]["n"] == 150 and "jax_version" in summary["provenance"]
     assert set(summary["results"]) == {"marginalized", "particle"}
@@ -98,7 +98,7 @@ def test_run_without_truth_on_parquet(folder, capsys):
     words = ["--filter", "marginalized", "--filter.n", "150", "--filter.linear", "rD,vD,aD"]
     assert main(["run", str(folder / "terrain.toml"), "--out", str(folder / "mine"), *words]) == 0
     assert {path.name for path in (folder / "mine").iterdir()} == {"marginalized.nc", "marginalized.npz", "summary.json", "map.png",
-                                                                   "states.png"}  # fmt: skip
+                                                                   "states.png", "track.csv"}  # fmt: skip
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [

@@ -75,7 +75,7 @@ def test_a_run_writes_what_python_would_find(folder, capsys):
     said = capsys.readouterr().out
     assert "n=300" in said and "share=0.3" in said and "rms east" in said and "at the end" in said
     names = {path.name for path in Path("found").iterdir()}
-    assert names == {"particle.nc", "particle.npz", "summary.json", "states.png", "particle_smoothed.csv"}
+    assert names == {"particle.nc", "particle.npz", "track.csv", "summary.json", "states.png", "particle_smoothed.csv"}
     ys = YS.copy()
     ys[4, 0] = np.nan
     history = mo.History.load("found/particle.npz")
@@ -181,7 +181,7 @@ REFUSALS = [
     (["model.py:make", "--data", "y.csv", "--filter.n", "3"], ["filter: expected a name"]),
     (["model.py:make", *GOOD[:-1], "particle", "--filter.n", "many"], ["filter n: expected a whole number", "'many'"]),
     (["model.py:make", *GOOD[:-1], "particle", "--filter.n", "9", "--filter.policy", "often"], ["filter policy kind"]),
-    (["model.py:make", "--data", "y.csv", "--data.columns", "a", "z", "--filter", "kalman"], ["data: expected names in the file", "'z'"]),
+    (["model.py:make", "--data", "y.csv", "--data.columns", "a", "z", "--filter", "kalman"], ["y.csv: expected a column 'z'", "t, a, b"]),
     (["model.py:make", "--data", "y.csv", "--data.columns", "a", "--filter", "kalman"], ["ys: expected shape (t, 2)"]),
     (["model.py:make", "--data", "none.csv", "--filter", "kalman"], ["none.csv"]),
     (["model.py:make", *GOOD, "--filter"], ["--filter: expected a value after it"]),

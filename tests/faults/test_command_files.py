@@ -101,7 +101,8 @@ def test_times_of_parquet_name_the_file_and_the_row(folder, capsys):
 
 @pytest.mark.parametrize("columns", [("height",), ("ins_altitude",), ("height", "ins_altitude")])
 def test_feet_are_told(folder, capsys, columns):
-    said(capsys, ["run", rewritten(folder, feet(*columns))], "flight.csv", "look", "like feet", "0.3048", *map(repr, columns))
+    said(capsys, ["run", rewritten(folder, feet(*columns))], "flight.csv",
+         "altitude minus radar minus terrain", "3.28 times too large: feet?", "units = {", *map(repr, columns))
 
 
 def test_meters_and_named_marks_of_missing_numbers_are_taken(flight, folder):
@@ -110,7 +111,7 @@ def test_meters_and_named_marks_of_missing_numbers_are_taken(flight, folder):
 
     path = rewritten(folder, cell(3, "height", "-9999"))
     files = MapFiles(files=(str(path.parent / "jacksboro_fault_dem.npz"),))
-    loaded = scenario.loaded(files, Recording(file=str(path.parent / "flight.csv"), missing=-9999.0))
+    loaded = scenario.loaded(files, Recording(file=str(path.parent / "flight.csv"), missing=("-9999",)))
     assert np.isnan(np.asarray(loaded.ys)).ravel().nonzero()[0].tolist() == [3]
 
 

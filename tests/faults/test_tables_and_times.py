@@ -73,12 +73,12 @@ def test_comments_and_marks_of_missing_numbers_and_other_forms(tmp_path, text, p
 
 
 TOLD = {
-    "names behind a mark": ("# a,b\n1,2\n3,4\n", ("line 2", "Take the # off")),
-    "decimal commas between semicolons": ("a;b\n1,5;2\n", ("line 2", "'a'", "Write a point")),
+    "names behind a mark": ("# a,b\n1,2\n3,4\n", ("line 2", "Take the mark of comments off")),
+    "decimal commas between semicolons": ("a;b\n1,5;2\n", ("line 2", "'a'", 'decimal = ","')),
     "decimal commas between commas": ("a,b\n1,5,2,5\n", ("4 in line 2", "decimal points")),
-    "day first": ("a,b\n31.01.2024,2\n", ("line 2", "year first")),
-    "day first with strokes": ("a,b\n31/01/2024 12:30,2\n", ("year first",)),
-    "time of the day": ("a,b\n12:30:15,2\n", ("the date too",)),
+    "day first": ("a,b\n31.01.2024,2\n", ("line 2", 'time_format = "day first"')),
+    "day first with strokes": ("a,b\n31/01/2024 12:30,2\n", ('time_format = "day first"', "time_zone")),
+    "time of the day": ("a,b\n12:30:15,2\n", ('time_format = "%H:%M:%S"',)),
     "zone by name": ("a,b\n2024-01-31T12:30:00 CET,2\n", ("offset of local times",)),
     "line after comments": ("# x\n# y\na,b\n1,2\n# z\n3,four\n", ("line 6", "'b'")),
 }

@@ -124,7 +124,7 @@ REFUSED = {
     "no header": (b"1,2\n3,4\n", ("line of names", "line 1")),
     "same name twice": (b"a,b,a\n1,2,3\n", ("'a' more than once",)),
     "text": (b"a,b\n1,2\n3,four\n", ("line 3", "'b'", "'four'")),
-    "text first": (b"a,b\nx,2\n", ("line 2", "'a'", "columns=")),
+    "text first": (b"a,b\nx,2\n", ("line 2", "'a'", "columns = ")),
     "text after lines in quotes": (b'a,b\n"\n1\n",2\n3,?\n', ("line 5", "'b'")),
     "decimal comma": (b"a;b\n1,5;2\n", ("'1,5'",)),
     "underscore": (b"a\n1_000\n", ("'1_000'",)),

@@ -14,12 +14,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from motes.core.findings import Diagnosis
+from motes.diagnostics.diagnose import diagnose
 from motes.filters import keep as keeping
+from motes.filters import notices
 from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
 from motes.filters.run import run, run_in_chunks
-from motes.io.result_table import Table
+from motes.io.clocks import Clock
+from motes.io.result_table import Table, track_table
 from motes.laws.circular import wrap
 from motes.models.interface import Model
 from motes.plotting.plot import plot
@@ -54,7 +58,9 @@ class Job:
             step, by default 0, that gives an iterator of the measurements from there on, and prints as what they are.
         inputs: of the model, time axis first; or None.
         truth: true states `(t, x)`, NaN where they are not known; None where none are.
-        times: of the steps, seconds, `(t,)`; None where steps are only numbered.
+        times: of the steps, seconds since `start`, `(t,)`; None where steps are only numbered.
+        start: time 0 of `times` in the user's file, seconds (of dates Unix seconds).
+        clock: how the times of the user's file are written.
         filters: those that run where the user names none, by name; the pictures show the first.
         keep: what is kept of each step, with mean and covariance at least.
         counted: states of one unit that a plan counts; all if none is named.
@@ -69,6 +75,8 @@ class Job:
     inputs: Any = None
     truth: Any = None
     times: Any = None
+    start: float = 0.0
+    clock: Clock = Clock()
     filters: Mapping[str, Filter] = field(default_factory=dict)
     keep: Keep = keeping.moments
     counted: tuple[str, ...] = ()
@@ -96,6 +104,10 @@ class Job:
     def simulated(self) -> Model:
         """Return the model from which plans and studies draw measurements; of one that is not to be planned, refuse in one line."""
         return self.model
+
+    def length(self) -> int | None:
+        """Return how many measurements there are of those that come one after the other, as far as is known."""
+        return None
 
     def told(self) -> str:
         """Return what tells its runs from others of the same filter and measurements, so that a killed one goes on from its own alone."""
@@ -125,6 +137,30 @@ class Job:
         """Return matplotlib figures of runs by the name of their file."""
         return {"states.png": plot(next(iter(histories.values())), truth=self.truth)}
 
+    def track(self, history: History) -> Table | None:
+        """Return the way that a run found, a row for each step, in the coordinates and times of the user's files; None where there is none.
+
+        Unless an application knows better: means and standard deviations of all states.
+        """
+        spreads = deviations(history.cov)
+        return self.way(history, dict(zip(history.names, np.asarray(history.mean, np.float64).T, strict=True)),
+                        dict(zip(history.names, spreads.T, strict=True)))  # fmt: skip
+
+    def way(self, history: History, places: Mapping[str, Any], spreads: Mapping[str, Any]) -> Table:
+        """Return places `(t,)` and their standard deviations with times as the user writes them, and what is said of each step."""
+        return track_table(self.stamps(history), places, spreads, flags(history))
+
+    def stamps(self, history: History) -> tuple[str, list[Any]]:
+        """Return the name of the column of times, and the time of each step as the user's file would have it; its number where none is."""
+        count = np.shape(history.info.ess)[0]
+        if self.times is None:
+            return "step", list(range(int(history.start), int(history.start) + count))
+        return "time", self.clock.written(self.start + np.asarray(self.times, np.float64)[:count])
+
+    def diagnosed(self, history: History) -> Diagnosis:
+        """Judge in words whether a run can be trusted."""
+        return diagnose(history)
+
     def tables(self, history: History) -> dict[str, Table]:
         """Return what is told of a run in tables, by what their files are called after its name."""
         return {}
@@ -132,6 +168,21 @@ class Job:
     def written(self, folder: Path, settings: Any) -> Any:
         """Write what was made up as a user's own files would come, and return the settings that name them by their full paths."""
         return settings
+
+
+def deviations(cov: Any) -> np.ndarray:
+    """Return the standard deviations `(t, x)` of covariances `(t, x, x)`; rounding may leave a variance a little below zero."""
+    return np.sqrt(np.maximum(np.diagonal(np.asarray(cov, np.float64), axis1=1, axis2=2), 0))
+
+
+def flags(history: History) -> list[str]:
+    """Return what is to be said of each step of a run, in words; "" for nothing."""
+    info = history.info
+    scarce = np.asarray(history.ess, np.float64) < min(notices.SCARCE, 0.2 * history.particles)
+    told = {"collapsed": info.collapsed, "alarm": info.alarm, "gated": np.asarray(info.gated) > 0, "few particles": scarce,
+            "recovered": np.asarray(info.recovered) > 0, "off the grid": np.asarray(info.lost) > notices.GONE}  # fmt: skip
+    there = np.stack([np.asarray(flag, bool) for flag in told.values()], axis=1)
+    return ["; ".join(name for name, is_so in zip(told, row, strict=True) if is_so) for row in there]
 
 
 def with_cloud(law: Any) -> dict[str, jax.Array]:

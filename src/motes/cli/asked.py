@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from motes.cli.options import first_and_flags, from_flags, from_table, read_toml, refuse, shown
+from motes.cli.dictionaries import with_dictionaries, without_dictionaries
+from motes.cli.options import first_and_flags, from_flags, from_table, perhaps, read_toml, refuse, shown
 from motes.cli.records import build, file_name, flags_of, merged, with_size
 
 if TYPE_CHECKING:
@@ -137,7 +138,8 @@ def application(word: str, folder: str) -> Application:
 
         return Application(word, own.Own, lambda settings, seed: own.load(word, folder, settings))
     if word not in applications():
-        refuse("application", f"one of {', '.join(applications())}, or MODULE:FUNCTION of your own", shown(word))
+        hint = perhaps(word, applications()) or ("Is it a TOML file? Its name must end in .toml." if Path(word).is_file() else "")
+        refuse("application", f"one of {', '.join(applications())}, or MODULE:FUNCTION of your own", shown(word), hint)
     room = f"motes.applications.{word}"
     return Application(word, importlib.import_module(f"{room}.settings").Settings,
                        lambda settings, seed: importlib.import_module(f"{room}.job").load(settings, seed))  # fmt: skip
@@ -239,7 +241,9 @@ def asked(options: type, words: Sequence[str], usage: str) -> Asked:
     kind.__doc__ = options.__doc__
     chosen, flags = flags_of(flags, RECORDS)
     given = {root: merged(table[root], {}) for root in RECORDS if root in table}
-    settings = from_flags(_of_file(kind, options, source, table, first), _short(flags, source.settings), usage)
+    from_file = _of_file(kind, options, source, table, first)
+    dictionaries, flags = without_dictionaries(from_file, _short(flags, source.settings))
+    settings = with_dictionaries(from_flags(from_file, flags, usage), dictionaries)
     # what flags choose counts alone: a filter in place of the file's filters, and the other way round
     for root in chosen.keys() & {"filter", "filters"}:
         given.pop({"filter": "filters", "filters": "filter"}[root], None)
@@ -253,7 +257,7 @@ def _of_file(kind: Any, options: type, source: Application, table: dict[str, Any
     known = ["application", *(one.name for one in dataclasses.fields(whole)), *RECORDS, *TABLES]
     for key in table:
         if key not in known:
-            refuse(Path(path).name, f"the keys {', '.join(known)}", shown(key))
+            refuse(Path(path).name, f"the keys {', '.join(known)}", shown(key), perhaps(key, known))
     found = from_table(whole, {key: value for key, value in table.items() if key not in (*RECORDS, *TABLES)}, path)
     values = {one.name: getattr(found, one.name) for one in dataclasses.fields(whole)}
     for name, command in TABLES.items():

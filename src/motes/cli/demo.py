@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from motes.cli import processes
 from motes.cli.asked import Asked, Run, applications, asked
-from motes.cli.options import refuse
+from motes.cli.options import perhaps, refuse
 from motes.cli.records import choice_of, is_spelled
-from motes.cli.run import carried_out
+from motes.cli.run import carried_out, trusted
 
 if TYPE_CHECKING:
     from motes.applications.interface import Job
@@ -30,18 +30,20 @@ def main(words: Sequence[str]) -> None:
     name, rest = (words[0], words[1:]) if words and not words[0].startswith("-") else (FIRST, words)
     name = demonstrations().get(name, name)
     if name not in applications():
-        refuse("demo", "one of " + ", ".join([*applications(), *demonstrations()]), repr(name))
+        there = [*applications(), *demonstrations()]
+        refuse("demo", "one of " + ", ".join(there), repr(name), perhaps(name, there))
     from motes.core.hosts import is_first
 
     wish = asked(Run, [name, *rest], f"motes demo {name}")
     if processes.started("demo", [name, *rest], wish.settings):
         return
     with processes.at_work(wish.settings):
-        folder, job = carried_out(wish)
-        path = folder / f"{name}.toml"
+        done = carried_out(wish)
+        path = done.folder / f"{name}.toml"
         if is_first():
-            write(path, wish, job)
-        print(f"Results are in {folder}. The same from its files: motes run {path}")
+            write(path, wish, done.job)
+        print(f"Results are in {done.folder}. The same from its files: motes run {path}")
+        trusted(done)
 
 
 def demonstrations() -> dict[str, str]:

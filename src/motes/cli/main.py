@@ -20,6 +20,7 @@ COMMANDS = {
     "calibrate": "measure what the parts of a filter cost on this machine",
     "report": "write the web page of a study from the folder of its runs",
     "doctor": "print versions, devices and precision",
+    "completion": "print what bash, zsh or fish needs to complete these words",
 }
 
 
@@ -54,7 +55,10 @@ def _dispatch(words: list[str]) -> int:
         print(f"motes {version('motes')}")
         return 0
     if words[0] not in COMMANDS:
-        print(f"motes: expected one of the commands {', '.join(COMMANDS)}, got {words[0][:80]!r}. See motes --help.", file=sys.stderr)
+        from motes.cli.options import perhaps
+
+        hint = perhaps(words[0], COMMANDS) or "See motes --help."
+        print(f"motes: expected one of the commands {', '.join(COMMANDS)}, got {words[0][:80]!r}. {hint}", file=sys.stderr)
         return 2
     return _guarded(words[0], words[1:])
 
@@ -63,7 +67,8 @@ def _usage() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"  {name:<{width}}  {does}" for name, does in COMMANDS.items()]
     return "\n".join(["usage: motes COMMAND [options]", "", "Monte Carlo state estimation.", "", *lines, "",
-                      "motes COMMAND --help tells the options of a command."])
+                      "motes COMMAND --help tells the options of a command.",
+                      'eval "$(motes completion bash)" lets the shell complete them (or zsh).'])
 
 
 def _guarded(name: str, words: list[str]) -> int:
@@ -87,6 +92,10 @@ def _guarded(name: str, words: list[str]) -> int:
             raise
         said = f"motes {name}: {line}"
         print(said if len(said) <= LONGEST else said[: LONGEST - 3] + "...", file=sys.stderr)
+        for note in getattr(reason, "__notes__", ()):
+            # a table of TOML to be pasted; other libraries have notes of their own
+            if note.startswith("["):
+                print(note, file=sys.stderr)
         return 2
     return 0
 

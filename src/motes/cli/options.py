@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import difflib
 import io
 import os
 import re
@@ -9,7 +10,7 @@ import reprlib
 import tomllib
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -18,6 +19,8 @@ LARGEST = 1 << 20
 DOTS = 3000
 LARGEST_WHOLE = 10**300
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+OF_COLUMN = {"column": "", "unit": "units", "format": "time_format", "zone": "time_zone"}
+"""Keys of a table that tells of a column, and those of the table of data that say the same."""
 KINDS = {int: "a whole number", float: "a number", str: "text in quotes", bool: "true or false", tuple: "a list of texts",
          dict: "a table of texts"}  # fmt: skip
 
@@ -27,6 +30,12 @@ def refuse(argument: str, expected: str, given: object, hint: str = "") -> NoRet
     from motes.core import checks
 
     checks.refuse(argument, expected, given, hint)
+
+
+def perhaps(word: object, known: Iterable[str]) -> str:
+    """Return which of some words may have been meant, as a hint; "" where none is near."""
+    near = difflib.get_close_matches(str(word)[:80], list(known), 2, 0.6)
+    return f"Perhaps {' or '.join(map(repr, near))} is meant." if near else ""
 
 
 def from_flags(default: Settings, words: Sequence[str], command: str) -> Settings:
@@ -50,7 +59,8 @@ def from_flags(default: Settings, words: Sequence[str], command: str) -> Setting
     except SystemExit as leaving:
         if not leaving.code:
             raise
-        refuse("options", f"those that {command} --help lists", _first_words(said.getvalue()))
+        text, meant = _first_words(said.getvalue()), re.search(r"Perhaps you meant:[\s\u2502]*(--[\w.-]+)", said.getvalue())
+        refuse("options", f"those that {command} --help lists", text, f"Perhaps {meant[1]} is meant." if meant else "")
     return _at_home(found)
 
 
@@ -149,18 +159,66 @@ def _from_table(kind: Any, table: dict[str, Any], path: Path, place: str) -> Any
     hints = typing.get_type_hints(kind)
     where = f"{path.name}: [{place}]" if place else path.name
     given = {}
-    for key, value in table.items():
+    for key, value in _with_names(kind, table, where).items():
         if key not in fields:
-            refuse(where, f"the keys {', '.join(fields)}", shown(key))
+            refuse(where, f"the keys {', '.join(fields)}", shown(key), perhaps(key, fields))
         if dataclasses.is_dataclass(hints[key]):
+            if isinstance(value, str) and "file" in hints[key].__dataclass_fields__:
+                # the name of a file alone stands for its table
+                value = {"file": value}
             if not isinstance(value, dict):
                 refuse(f"{where} {key}", f"a table [{key}]", shown(value))
             given[key] = _from_table(hints[key], value, path, f"{place}.{key}" if place else key)
             continue
+        if fields[key].metadata.get("cells"):
+            value = _cells(value)
         given[key] = _value(hints[key], value, f"{where} {key}")
         if fields[key].metadata.get("path"):
             given[key] = _beside(path.parent, given[key])
     return kind(**given)
+
+
+def _with_names(kind: Any, table: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return a table in which columns are names; what tables of columns say besides is under `units`, `time_format` and `time_zone`.
+
+    Raises:
+        MotesError: a table of a column has another key, or no text where one is due.
+    """
+    found, said = dict(table), []
+    for field in dataclasses.fields(kind):
+        value = table.get(field.name)
+        if not field.metadata.get("column") or not isinstance(value, (list, dict)):
+            continue
+        place = f"{where} {field.name}"
+        if isinstance(value, list):
+            found[field.name] = [_column(one, place, "", said) for one in value]
+        elif typing.get_origin(field.type) is dict:
+            found[field.name] = {role: _column(one, f"{place} {role}", role, said) for role, one in value.items()}
+        else:
+            default = field.default if isinstance(field.default, str) else ""
+            found[field.name] = _column(value, place, default, said)
+    for key, one in said:
+        if isinstance(one, dict):
+            found[key] = {**found[key], **one} if isinstance(found.get(key), dict) else one
+        elif found.setdefault(key, one) != one:
+            refuse(f"{where} {key}", "one for all times", f"{shown(found[key])} and {shown(one)}")
+    return found
+
+
+def _column(value: Any, place: str, default: str, said: list[tuple[str, Any]]) -> Any:
+    """Return the name of a column that is told by a table; what that says besides is added to what was said."""
+    if not isinstance(value, dict):
+        return value
+    for key, text in value.items():
+        if key not in OF_COLUMN:
+            refuse(place, f"the keys {', '.join(OF_COLUMN)}", shown(key), perhaps(key, OF_COLUMN))
+        if not isinstance(text, str):
+            refuse(f"{place} {key}", "a text in quotes", shown(text))
+    name = value.get("column", default)
+    if not name:
+        refuse(place, 'column = "its name"', "none")
+    said += [("units", {name: text}) if key == "unit" else (OF_COLUMN[key], text) for key, text in value.items() if key != "column"]
+    return name
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
@@ -170,7 +228,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     if typing.get_origin(hint) is typing.Literal:
         known = typing.get_args(hint)
         if value not in known or type(value) is bool:
-            refuse(where, "one of " + ", ".join(map(repr, known)), shown(value))
+            refuse(where, "one of " + ", ".join(map(repr, known)), shown(value), perhaps(value, map(str, known)))
         return value
     if typing.get_origin(hint) is dict:
         if isinstance(value, dict) and all(isinstance(item, str) for item in value.values()):
@@ -186,6 +244,12 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     if type(value) is not hint:
         refuse(where, KINDS[hint], shown(value))
     return value
+
+
+def _cells(value: Any) -> Any:
+    """Return what stands in cells of a table as texts: numbers may be written as such."""
+    several = value if isinstance(value, list) else [value]
+    return [repr(one) if type(one) in (int, float) else one for one in several]
 
 
 def shown(value: Any) -> str:

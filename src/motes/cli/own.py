@@ -8,16 +8,22 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motes.cli.options import refuse, shown
+from motes.cli.options import perhaps, refuse, shown
+from motes.io.dialect import Dialect
+
+if TYPE_CHECKING:
+    from motes.io.columns import Columns
 
 
 @dataclass(frozen=True)
-class Data:
+class Data(Dialect):
     """The measurements: CSV, JSON, Parquet, NetCDF, MAT or NPZ, one row or entry per step; or a bag (rosbag 1 or 2).
+
+    What has a unit under units comes in meters, m/s, radians, seconds or the like.
 
     Attributes:
         file: the file, or the folder of a bag.
@@ -31,10 +37,10 @@ class Data:
 
     file: str = field(default="", metadata={"path": True})
     topics: dict[str, str] = field(default_factory=dict)
-    columns: tuple[str, ...] = ()
-    time: str = ""
-    inputs: tuple[str, ...] = ()
-    truth: tuple[str, ...] = ()
+    columns: tuple[str, ...] = field(default=(), metadata={"column": True})
+    time: str = field(default="", metadata={"column": True})
+    inputs: tuple[str, ...] = field(default=(), metadata={"column": True})
+    truth: tuple[str, ...] = field(default=(), metadata={"column": True})
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,8 @@ def load(application: str, folder: str, settings: Own) -> Any:
         MotesError: there is no such module or function, it fails, or does not give a model; or the data cannot be used.
     """
     from motes.applications.interface import Job
+    from motes.io.clocks import Clock
+    from motes.io.columns import Columns
     from motes.models.interface import Model
     from motes.models.times import Timeline
 
@@ -81,11 +89,13 @@ def load(application: str, folder: str, settings: Own) -> Any:
         given = measured(asked, data, given["model"]) | given
     line = given.get("ys")
     if isinstance(line, Timeline):
-        given |= {"ys": line.ys, "inputs": line.inputs, "times": line.start + line.seconds}
+        given |= {"ys": line.ys, "inputs": line.inputs, "times": line.seconds, "start": line.start}
+    if isinstance(data, Columns):
+        given |= {"clock": data.clocks.get(asked.time, Clock())}
     return Job(**given)
 
 
-def _read(data: Data) -> tuple[Data, dict[str, np.ndarray] | None]:
+def _read(data: Data) -> "tuple[Data, dict[str, np.ndarray] | Columns | None]":
     """Return the arrays of the file that is named, if one is, and what is asked for of them."""
     from motes.cli.own_bags import TIME, on_one_line
     from motes.io.arrays import read_arrays
@@ -100,7 +110,9 @@ def _read(data: Data) -> tuple[Data, dict[str, np.ndarray] | None]:
         return replace(data, columns=columns, time=TIME), arrays
     if data.topics:
         refuse("data topics", "a bag as the file (rosbag 1 or 2)", shown(data.file), "Columns are named with columns, inputs and truth.")
-    return data, read_arrays(data.file)
+    # what is measured can be left unsaid; then all columns are read
+    names = (*data.columns, *filter(None, (data.time,)), *data.inputs, *data.truth) if data.columns else None
+    return data, read_arrays(data.file, names, data, data.time)
 
 
 def _called(application: str, function: Callable[..., Any], data: dict[str, np.ndarray] | None) -> Any:
@@ -169,7 +181,7 @@ def measured(data: Data, arrays: dict[str, np.ndarray], model: Any) -> dict[str,
 
     def column(name: str) -> np.ndarray:
         if name not in arrays:
-            refuse("data", f"names in the file: {', '.join(arrays)[:200]}", shown(name))
+            refuse("data", f"names in the file: {', '.join(arrays)[:200]}", shown(name), perhaps(name, arrays))
         # MATLAB has no vectors but rows and columns
         return arrays[name].reshape(-1) if arrays[name].ndim == 2 and 1 in arrays[name].shape else arrays[name]
 

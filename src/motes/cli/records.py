@@ -16,7 +16,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from motes.cli.options import KINDS, refuse, shown
+from motes.cli.options import KINDS, perhaps, refuse, shown
 
 KIND = "kind"
 ROOMS = ("motes", "motes.filters", "motes.resampling", "motes.smoothers", "motes.gaussian")
@@ -81,7 +81,7 @@ def build(base: type, choice: Any, place: str, n: int | None = None) -> Any:
         given.setdefault("n", n)
     unknown = sorted(set(given) - set(fields))
     if unknown:
-        refuse(f"{place}", f"parameters of {kind.__name__}: {', '.join(fields) or 'none'}", shown(unknown[0]))
+        refuse(f"{place}", f"parameters of {kind.__name__}: {', '.join(fields) or 'none'}", shown(unknown[0]), perhaps(unknown[0], fields))
     missing = [name for name, field in fields.items() if field.default is dataclasses.MISSING
                and field.default_factory is dataclasses.MISSING and name not in given]  # fmt: skip
     if missing:

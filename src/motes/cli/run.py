@@ -1,12 +1,13 @@
 """`motes run APPLICATION`: run filters on an application or a model of the user's own, its measurements made up or from files.
 
 Writes to the folder `--out`: for each filter its history as NetCDF and as NPZ, and, where a smoother is named, a table of what that found;
-`summary.json`; the tables and pictures of the application.
+`track.csv`, the way that the first filter found, step by step (`NAME_track.csv` of the others); `summary.json`; the tables and pictures of
+the application. The last lines say whether the runs can be trusted.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motes.cli import processes
 from motes.cli.asked import Asked, Run, asked
@@ -32,18 +33,52 @@ def main(words: Sequence[str]) -> None:
     if processes.started("run", words, wish.settings):
         return
     with processes.at_work(wish.settings):
-        folder, _ = carried_out(wish)
-        print(f"Results are in {folder}.")
+        done = carried_out(wish)
+        print(f"Results are in {done.folder}.")
+        trusted(done)
 
 
-def carried_out(wish: Asked) -> "tuple[Path, Job]":
+class Done(NamedTuple):
+    """What was run.
+
+    Attributes:
+        folder: with the results.
+        job: that was run.
+        outcomes: of each filter.
+    """
+
+    folder: Path
+    job: "Job"
+    outcomes: "dict[str, Outcome]"
+
+
+def trusted(done: Done) -> None:
+    """Say in words whether each run can be trusted: the last line of the command."""
+    from motes.core.hosts import is_first
+
+    if not is_first():
+        return
+    for name, outcome in done.outcomes.items():
+        found = done.job.diagnosed(outcome.history)
+        serious = [finding for finding in found.findings if finding.serious]
+        if serious:
+            first, more = serious[0], [finding.name for finding in found.findings if finding is not serious[0]]
+            also = f" Also: {', '.join(more)}." if more else ""
+            print(f"{name}: not to be trusted as it is ({first.name}): {first.text} {first.advice}{also}")
+        elif found.findings:
+            print(f"{name}: can be trusted, with a note: {' '.join(finding.text for finding in found.findings)}")
+        else:
+            print(f"{name}: can be trusted: nothing wrong was found.")
+
+
+def carried_out(wish: Asked) -> Done:
     """Run filters, print a table, and write histories, a summary and pictures.
 
     Args:
         wish: what is asked for.
 
     Returns:
-        The folder, and what was run.
+        What was run.
 
     Raises:
         MotesError: the application refuses, a filter does not fit or collapsed, or a file cannot be written.
@@ -71,15 +106,18 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
     histories = {name: outcome.history for name, outcome in outcomes.items()}
     folder = running.made_folder(settings.out)
     if not is_first():
-        return folder, job
+        return Done(folder, job, outcomes)
     scores = {name: job.scores(history) for name, history in histories.items()}
     found = {name: running.results(outcome) | {_key(one): one.value for one in scores[name]} for name, outcome in outcomes.items()}
     _show(job, outcomes, scores, found)
     for name, history in histories.items():
-        history.save(folder / f"{name}.nc")
+        running.write_dataset(folder / f"{name}.nc", history, job.clock)
         history.save(folder / f"{name}.npz")
         if smoother is not None:
             running.write_smoothed(folder / f"{name}_smoothed.csv", settings.seed, smoother, job, history)
+        track = job.track(history)
+        if track is not None:
+            track.save(folder / ("track.csv" if name == next(iter(histories)) else f"{name}_track.csv"))
         for what, table in job.tables(history).items():
             table.save(folder / f"{name}_{what}.csv")
     for name, figure in job.pictures(histories).items():
@@ -90,8 +128,7 @@ def carried_out(wish: Asked) -> "tuple[Path, Job]":
         said = job.verdict(history)
         if said:
             print(said)
-    running.told(outcomes)
-    return folder, job
+    return Done(folder, job, outcomes)
 
 
 def _show(job: "Job", outcomes: "dict[str, Outcome]", scores: dict[str, Any], found: dict[str, dict[str, Any]]) -> None:

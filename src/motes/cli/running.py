@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import TaskID
 from rich.table import Table as Shown
 
 from motes.applications.interface import Job
 from motes.cli.long_runs import long_run, whole_run
 from motes.core.checks import FileError, need, refuse
-from motes.core.progress import is_shown
+from motes.core.progress import bars
 from motes.core.record import replace
 from motes.core.watchdog import watched
 from motes.filters import keep
@@ -26,9 +26,10 @@ from motes.filters.data import checked_data, steps_of
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
-from motes.filters.notices import notices
 from motes.filters.run import run
+from motes.io import archive
 from motes.io.archive import provenance, whole_file
+from motes.io.clocks import Clock
 from motes.io.files import label
 from motes.io.result_table import Table
 from motes.models.state_space import at_step
@@ -76,11 +77,13 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
         return ", ".join(f"{task.completed:.0f}{f' of {task.total:.0f}' if task.total else ''} steps of {task.description}"
                          for task in progress.tasks)  # fmt: skip
 
-    columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn())
-    outcomes, console = {}, Console(stderr=True)
-    with Progress(*columns, console=console, disable=not is_shown(console, None)) as progress, watched("motes", standing) as further:
+    outcomes = {}
+    with bars("steps") as progress, watched("motes", standing) as further:
+        # all at once, so that the time that is left is that of all
+        tasks = {name: progress.add_task(name, total=job.length() if long else steps_of(ys), start=False) for name in worn}
         for name, one in worn.items():
-            task = progress.add_task(name, total=None if long else steps_of(ys))
+            task = tasks[name]
+            progress.start_task(task)
 
             def advance(steps: int, task: TaskID = task) -> None:
                 progress.advance(task, steps)
@@ -91,7 +94,7 @@ def race(seed: int, filters: Mapping[str, Filter], job: Job, keep: Keep, folder:
                       whole_run(seed, one, job, ys, inputs, keep, path))
             # what is told as it comes is told once: of the filter that the pictures show
             history, seconds = _timed(pieces, advance, job.news() if name == next(iter(worn)) else lambda piece: ())
-            history = history if job.times is None else replace(history, times=np.asarray(job.times))
+            history = history if job.times is None else replace(history, times=job.start + np.asarray(job.times, np.float64))
             outcomes[name] = Outcome(filters[name], history, seconds)
     return outcomes
 
@@ -152,6 +155,15 @@ def write_smoothed(path: Path, seed: int, smoother: Smoother, job: Job, history:
     Table(columns, tuple((step, *map(float, row)) for step, row in enumerate(both))).save(path)
 
 
+def write_dataset(path: Path, history: History, clock: Clock) -> None:
+    """Write a history as NetCDF, its times as dates where those of the measurements are."""
+    data = history.to_xarray()
+    if clock.format and history.times is not None:
+        micro = np.round(np.asarray(history.times, np.float64) * 1e6).astype(np.int64)
+        data = data.assign_coords(time=micro.astype("datetime64[us]").astype("datetime64[ns]"))
+    archive.write_dataset(path, data)
+
+
 def results(outcome: Outcome) -> dict[str, Any]:
     """Return what a table or a summary tells of a run besides its errors."""
     ess = np.asarray(outcome.history.ess)
@@ -161,14 +173,6 @@ def results(outcome: Outcome) -> dict[str, Any]:
     if outcome.history.has_evidence:
         found["log_likelihood"] = float(outcome.history.log_likelihood)
     return found
-
-
-def told(outcomes: Mapping[str, Outcome]) -> None:
-    """Say, after all results, what the runs say unasked: a line for each filter, where there is something."""
-    for name, outcome in outcomes.items():
-        found = notices(outcome.history)
-        if found:
-            print(f"{name}: {' '.join(finding.text for finding in found)}")
 
 
 def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from motes.io.units import quoted
+
 WIDTH = 120
 
 
@@ -30,8 +32,10 @@ def table(place: str, values: dict[str, Any]) -> str:
 
 def _lines(settings: Any, folder: Path, place: str) -> Iterator[str]:
     told = helps(type(settings))
-    tables = [field for field in dataclasses.fields(settings) if dataclasses.is_dataclass(getattr(settings, field.name))]
-    for field in dataclasses.fields(settings):
+    # its own fields come before those that it shares with others
+    fields = sorted(dataclasses.fields(settings), key=lambda field: field.name not in vars(type(settings)).get("__annotations__", {}))
+    tables = [field for field in fields if dataclasses.is_dataclass(getattr(settings, field.name))]
+    for field in fields:
         if field in tables:
             continue
         value = getattr(settings, field.name)
@@ -58,7 +62,7 @@ def _near(path: str, folder: Path) -> str:
 
 def _plain(value: Any) -> str:
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_plain(one)}" for key, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{quoted(key)} = {_plain(one)}" for key, one in value.items()) + " }" if value else "{}"
     if isinstance(value, (tuple, list)):
         return "[" + ", ".join(map(_plain, value)) + "]"
     return json.dumps(value)

@@ -23,6 +23,7 @@ from scipy.special import stdtrit
 
 from motes.core import checks, engine, linalg, random
 from motes.core.kept import private_folder
+from motes.core.progress import tracked
 from motes.core.record import record, replace, static
 from motes.core.types import Inputs
 from motes.costs.flops import Costs
@@ -145,7 +146,7 @@ def calibrate(model: Any = None, refresh: bool = False, inputs: Inputs = None) -
     place = _file_of(operations, device)
     table = None if refresh or place is None else _recalled(place)
     if table is None:
-        table = np.array([dataclasses.astuple(_regressed(name, operations[name])) for name in PARTS])
+        table = np.array([dataclasses.astuple(_regressed(name, operations[name])) for name in tracked(PARTS, "timing", None)])
         if place is not None:
             archive.write_tree(place, {"table": table}, {"engine": engine.chosen(), "device": device}, kind="calibration")
     return Calibration(*(Slope(*row) for row in table.tolist()), engine=engine.chosen(), device=device)

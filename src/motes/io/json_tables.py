@@ -5,12 +5,14 @@ import os
 import re
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from motes.io.columns import Columns, chosen_names, labels, numbers
+from motes.io.clocks import Clock
+from motes.io.columns import Cells, Columns, chosen_names, labels
 from motes.io.files import foreign, label, reject
 
 JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(\[\s*[{\]]|\{\s*[\"}])")
@@ -37,7 +39,7 @@ def unzipped(path: str | os.PathLike[str], size: int) -> bytes:
     return data
 
 
-def read_json(path: str | os.PathLike[str], data: bytes, wanted: list[str] | None, texts: Sequence[str] = ()) -> Columns:
+def read_json(path: str | os.PathLike[str], data: bytes, wanted: list[str] | None, texts: Sequence[str], source: Cells) -> Columns:
     """Read columns from a list of records, `[{"a": 1, "b": 2}, ...]`, or from columns, `{"a": {"0": 1, ...}, ...}` or `{"a": [1, ...]}`.
 
     A null, or what a record lacks, is NaN.
@@ -47,19 +49,25 @@ def read_json(path: str | os.PathLike[str], data: bytes, wanted: list[str] | Non
         data: its content.
         wanted: names of the columns; all if None.
         texts: names of columns of text, where they are there.
+        source: how cells are read.
 
     Raises:
         FileError: the content is no such table, or a cell no number or time.
     """
     columns = json_columns(path, data)
-    chosen = chosen_names(path, list(columns), wanted, texts)
+    chosen = chosen_names(path, list(columns), wanted, texts, source.dialect)
     lengths = {len(columns[name]) for name in chosen}
     if len(lengths) != 1 or 0 in lengths:
         reject(path, "columns of one length, with at least one row", str(sorted(lengths))[:80] if chosen else "none")
     rows = range(1, len(columns[chosen[0]]) + 1)
-    found = {name: labels(columns[name]) if name in texts else _numbers(path, name, columns[name], rows, wanted is not None)
-             for name in chosen}  # fmt: skip
-    return Columns(found, label(path), "row", rows)
+    source, found, clocks = replace(source, lines=rows), {}, {}
+    for name in chosen:
+        if name in texts:
+            found[name] = labels(columns[name])
+        else:
+            found[name], clock = _numbers(source, name, columns[name])
+            clocks[name] = clock or source.clock(name)
+    return Columns(found, label(path), "row", rows, clocks=clocks)
 
 
 def json_columns(path: str | os.PathLike[str], data: bytes) -> dict[str, list[Any]]:
@@ -96,10 +104,15 @@ def _by_columns(path: Any, content: Any) -> dict[str, list[Any]]:
     reject(path, "a list of records or a table of columns", "JSON of another form")
 
 
-def _numbers(path: Any, name: str, cells: list[Any], rows: range, asked: bool) -> np.ndarray:
+def _numbers(source: Cells, name: str, cells: list[Any]) -> tuple[np.ndarray, Clock | None]:
     if all(cell is None or type(cell) in (int, float) for cell in cells):
-        with foreign(path, f"numbers in column {name!r}"):
+        with foreign(source.path, f"numbers in column {name!r}"):
             values = np.array([np.nan if cell is None else cell for cell in cells], np.float64)
         if not np.isinf(values).any():
-            return values
-    return numbers(path, name, ["" if cell is None else str(cell)[:200] for cell in cells], rows, "row", asked)
+            return source.plain(name, values), None
+    return source.column(name, ["" if cell is None else _cell_text(cell, source)[:200] for cell in cells])
+
+
+def _cell_text(cell: Any, source: Cells) -> str:
+    """Return a cell as text; a number has the mark of decimals of texts beside it."""
+    return str(cell).replace(".", source.dialect.decimal) if type(cell) is float else str(cell)

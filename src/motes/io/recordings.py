@@ -4,17 +4,25 @@ Source of the form: Djugash, Hamner, Roth, "Navigating with ranging radios: five
 """
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from scipy.io import savemat
 
+from motes.core.checks import refuse
 from motes.core.record import record, static
 from motes.io.archive import whole_file
 from motes.io.files import label, reject
 from motes.io.matlab import read_matrices
+from motes.io.units import converted
 
 COLUMNS = {"GT": 4, "DR": 3, "DRp": 4, "TD": 4, "TL": 3}
+QUANTITIES: dict[str, tuple[str, dict[str, list[int]]]] = {
+    "time": ("s", {"GT": [0], "DR": [0], "DRp": [0], "TD": [0]}), "place": ("m", {"GT": [1, 2], "DRp": [1, 2], "TL": [1, 2]}),
+    "heading": ("rad", {"GT": [3], "DRp": [3]}), "forward": ("m", {"DR": [1]}), "turn": ("rad", {"DR": [2]}), "range": ("m", {"TD": [3]}),
+}  # fmt: skip
+"""What a file holds: its unit, and in which columns of which matrix it is."""
 
 
 @record
@@ -28,6 +36,7 @@ class RangeOnlyRecording:
         ranges: `(r, 3)`: time, id of the beacon, range; in order of time.
         beacons: `(b, 3)`: id, x, y, surveyed.
         source: name of the file.
+        start: time of the first row of truth in the file.
     """
 
     truth: np.ndarray
@@ -36,21 +45,25 @@ class RangeOnlyRecording:
     ranges: np.ndarray
     beacons: np.ndarray
     source: str = static(default="recording")
+    start: float = static(default=0.0)
 
 
-def read_plaza(path: str | os.PathLike[str]) -> RangeOnlyRecording:
+def read_plaza(path: str | os.PathLike[str], units: Mapping[str, str] | None = None) -> RangeOnlyRecording:
     """Read a recording from a MATLAB 5 file with the variables GT, DR, DRp, TD and TL.
 
     Ranges are sorted by time (the receiver's log goes back in time at places); the sender in the second column of TD is left out.
 
     Args:
         path: the file.
+        units: of what is in others than seconds, meters and radians, by the names in `QUANTITIES`.
 
     Raises:
+        MotesError: there is no such quantity or unit.
         FileError: the file is damaged or no MATLAB 5 file, or a variable is missing, has another shape, holds something other than finite
             numbers, or does not fit the others; the message names the variable.
     """
     found = read_matrices(path, COLUMNS)
+    _convert(found, units or {})
     truth, odometry, path_rows, ranges, beacons = (found[name] for name in COLUMNS)
     _check_times(path, truth, odometry, path_rows)
     _check_ranges(path, truth, ranges, beacons)
@@ -58,7 +71,17 @@ def read_plaza(path: str | os.PathLike[str]) -> RangeOnlyRecording:
     for rows in (truth, odometry, ranges):
         rows[:, 0] -= begin
     ranges = ranges[np.argsort(ranges[:, 0], kind="stable")][:, [0, 2, 3]]
-    return RangeOnlyRecording(truth, odometry, path_rows[:, 1:3], ranges, beacons, label(path))
+    return RangeOnlyRecording(truth, odometry, path_rows[:, 1:3], ranges, beacons, label(path), float(begin))
+
+
+def _convert(found: dict[str, np.ndarray], units: Mapping[str, str]) -> None:
+    """Convert matrices in place."""
+    for name, unit in units.items():
+        if name not in QUANTITIES:
+            refuse("units", f"units of {', '.join(QUANTITIES)}", repr(name[:60]))
+        expected, places = QUANTITIES[name]
+        for matrix, columns in places.items():
+            found[matrix][:, columns] = converted(f"units {name}", found[matrix][:, columns], unit, expected)
 
 
 def _check_times(path: str | os.PathLike[str], truth: np.ndarray, odometry: np.ndarray, path_rows: np.ndarray) -> None:

@@ -3,7 +3,7 @@
 import csv
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +96,22 @@ class Table:
         with whole_file(path) as file:
             file.write(forms[path.suffix]().encode())
         return path
+
+
+def track_table(
+    times: tuple[str, Sequence[Cell]], places: Mapping[str, Any], spreads: Mapping[str, Any], flags: Sequence[str]
+) -> Table:
+    """Return the way that a run found: a row for each step with its time, places, their standard deviations and what is to be said of it.
+
+    Args:
+        times: name of their column, and the time of each step.
+        places: numbers `(t,)` by the name of their column.
+        spreads: standard deviations `(t,)` by what they are of.
+        flags: of each step, in words; "" for none.
+    """
+    numbers = {**places, **{f"sd {name}": spread for name, spread in spreads.items()}}
+    columns = [[float(value) for value in column] for column in numbers.values()]
+    return Table((times[0], *numbers, "flags"), tuple(zip(times[1], *columns, flags, strict=True)))
 
 
 def shown(cell: Cell) -> str:

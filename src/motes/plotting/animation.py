@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from motes.core.checks import need
+from motes.core.progress import tracked
 
 COLORS = 64
 """Colors of a picture; more make the file larger than they make it better."""
@@ -46,7 +47,7 @@ class Animation:
         """
         image = need("PIL.Image", "results")
         shown = []
-        for number in range(self.count):
+        for number in tracked(range(self.count), "animation", None):
             png = io.BytesIO()
             self.draw(number).savefig(png, format="png", dpi=dpi)
             shown.append(image.open(png).convert("RGB").quantize(COLORS))

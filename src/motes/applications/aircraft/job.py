@@ -12,15 +12,19 @@ import numpy as np
 from motes.applications.aircraft import scenario
 from motes.applications.aircraft.model import Flight, Radar, jumping
 from motes.applications.aircraft.pictures import track_figure
+from motes.applications.aircraft.reports import REPORT, Reports
 from motes.applications.aircraft.settings import Settings
 from motes.applications.aircraft.world import flown_reports
-from motes.applications.interface import Job, Score
+from motes.applications.interface import Job, Score, deviations
 from motes.core import checks
 from motes.filters import keep
 from motes.filters.history import History
 from motes.filters.interacting_multiple_model import InteractingMultipleModel
 from motes.filters.jump_markov import JumpMarkovFilter
+from motes.io.dialect import NamedDialect
+from motes.io.named_tables import own_unit
 from motes.io.result_table import Table
+from motes.io.units import back_to
 from motes.laws.observed import value_of
 from motes.plotting.plot import plot
 
@@ -46,9 +50,9 @@ def load(settings: Settings, seed: int) -> "AircraftJob":
         checks.refuse("plots false", "a number of false plots from 0 to 1000", asked.false)
     site = (settings.site.east, settings.site.north)
     radar = Radar(asked.distance, asked.azimuth, asked.detection, asked.false, asked.farthest)
-    reports = None if settings.data else flown_reports(seed, settings.duration)
+    reports = None if settings.data.file else flown_reports(seed, settings.duration)
     if reports is None:
-        path = scenario.read_path(settings.data, settings.begin, settings.duration, site, settings.aircraft)
+        path = scenario.read_path(settings.data.file, settings.begin, settings.duration, site, settings.aircraft, settings.data)
     else:
         path = scenario.path_of(reports, site)
     track = scenario.track(path, seed, settings.plots.steps, radar)
@@ -59,7 +63,8 @@ def load(settings: Settings, seed: int) -> "AircraftJob":
     track = replace(track, **{name: jax.tree.map(lambda leaf: leaf[flown], getattr(track, name)) for name in kept})
     return AircraftJob(
         model=jumping(track.start, Flight(), radar), ys=jax.tree.map(jnp.asarray, track.ys), inputs=jnp.asarray(track.dt),
-        track=track, reports=reports, times=times[flown], keep=keep.modes,
+        plots=track, path=path, reports=reports, times=times[flown], start=path.start, clock=path.clock, keep=keep.modes,
+        data=settings.data,
         filters={"jump_markov": JumpMarkovFilter(n=200, sampled=("turn",)), "interacting": InteractingMultipleModel()},
         counted=("east", "north"), blocks={"position": ("east", "north"), "velocity": ("v_east", "v_north")},
         lost=("position", scenario.LOST),
@@ -71,12 +76,16 @@ class AircraftJob(Job):
     """A flight seen by radar.
 
     Attributes:
-        track: what the tracker gets, and the truth.
+        plots: what the tracker gets, and the truth.
+        path: that was flown.
         reports: those of a flight that was made up; otherwise None.
+        data: how the recording is written.
     """
 
-    track: scenario.Track
-    reports: scenario.Reports | None
+    plots: scenario.Track
+    path: scenario.Path
+    reports: Reports | None
+    data: NamedDialect
 
     def title(self, steps: int) -> str:
         """Return how many plots there were."""
@@ -85,7 +94,7 @@ class AircraftJob(Job):
 
     def scores(self, history: History) -> tuple[Score, ...]:
         """Judge a run by the true path."""
-        found = scenario.score(jnp.asarray(history.mean), self.track)
+        found = scenario.score(jnp.asarray(history.mean), self.plots)
         return (Score("position", float(found.position), "m", 1), Score("velocity", float(found.velocity), "m/s", 2),
                 Score("worst", float(found.worst), "m", 0))  # fmt: skip
 
@@ -93,14 +102,22 @@ class AircraftJob(Job):
         """Say nothing: the table tells all."""
         return ""
 
+    def track(self, history: History) -> Table:
+        """Return the places that a run found as the recording tells them; standard deviations in meters."""
+        east, north = np.asarray(history.mean, np.float64)[:, :2].T
+        places = dict(zip(("latitude", "longitude"), self.path.placed(east, north), strict=True))
+        spreads = deviations(history.cov)
+        places = {name: back_to(place, own_unit(self.data, name), "deg") for name, place in places.items()}
+        return self.way(history, places, {"east, m": spreads[:, 0], "north, m": spreads[:, 1]})
+
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the plane with error and turns, and the states."""
         history = next(iter(histories.values()))
-        return {"track.png": track_figure(history, self.track), "states.png": plot(history)}
+        return {"track.png": track_figure(history, self.plots), "states.png": plot(history)}
 
     def written(self, folder: Path, settings: Settings) -> Settings:
         """Write the reports of a flight that was made up."""
         if self.reports is None:
             return settings
-        Table(scenario.REPORT, tuple(map(tuple, np.stack(self.reports, axis=1).tolist()))).save(folder / FILE)
-        return replace(settings, data=str(folder / FILE))
+        Table(REPORT, tuple(map(tuple, np.stack(self.reports, axis=1).tolist()))).save(folder / FILE)
+        return replace(settings, data=replace(settings.data, file=str(folder / FILE)))

@@ -8,10 +8,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.aircraft.model import Radar
+from motes.applications.aircraft.reports import (
+    EARTH,
+    KNOT,
+    LEAST,
+    NAME,
+    SHOWN,
+    Reports,
+    check_agreement,
+    clock_of,
+    heard_of,
+    part_of,
+    read_reports,
+    wrapped_degrees,
+)
 from motes.core import checks
 from motes.core.record import record
-from motes.io.columns import Columns
-from motes.io.tables import read_table
+from motes.io.clocks import Clock
+from motes.io.dialect import NAMED, NamedDialect
 from motes.laws.gaussian import Gaussian
 from motes.laws.observed import Observed
 
@@ -25,40 +39,29 @@ UNSCORED = 10
 """Plots at the start that are not scored."""
 LOST = 1e3
 """A track is lost when it is further off at a plot, meters."""
-NAME, SHOWN = "icao24", 12
-"""Column that tells aircraft apart, and how many of them a refusal names."""
-LIMITS = ((-1e15, 1e15), (-89.0, 89.0), (-180.0, 360.0), (0.0, 2000.0), (-360.0, 360.0))
-"""Columns of a report and what they can be: seconds, degrees (no flat map has a pole), degrees, knots, degrees."""
-LEAST = 10
-"""Reports without which there is no path."""
-LATEST, MILLI = 1e11, 1e3
-"""Times beyond the one, in the year 5138, are milliseconds."""
-EARTH, KNOT = 6371008.8, 1852 / 3600
-
-
-class Reports(NamedTuple):
-    """Reports `(r,)` by column: seconds, degrees, degrees, knots, degrees from north."""
-
-    timestamp: np.ndarray
-    latitude: np.ndarray
-    longitude: np.ndarray
-    groundspeed: np.ndarray
-    track: np.ndarray
-
-
-REPORT = Reports._fields
-
-
 class Path(NamedTuple):
     """The true path in meters from the radar.
 
     Attributes:
         times: seconds since its start, `(r,)`.
         states: east, north and velocities, `(r, 4)`.
+        middle: latitude and longitude of the middle of the plane, degrees.
+        radar: east and north of the radar from there, meters.
+        start: time 0 in the recording, s (of dates Unix seconds).
+        clock: how times are written there.
     """
 
     times: np.ndarray
     states: np.ndarray
+    middle: tuple[float, float]
+    radar: tuple[float, float]
+    start: float = 0.0
+    clock: Clock = Clock()
+
+    def placed(self, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return latitudes and longitudes, degrees, of places in meters from the radar."""
+        longitude = self.middle[1] + np.degrees((east + self.radar[0]) / (EARTH * np.cos(np.radians(self.middle[0]))))
+        return self.middle[0] + np.degrees((north + self.radar[1]) / EARTH), wrapped_degrees(longitude)
 
 
 @record
@@ -101,6 +104,7 @@ def read_path(
     duration: float = DURATION,
     radar: tuple[float, float] = RADAR,
     aircraft: str = "",
+    written: NamedDialect = NAMED,
 ) -> Path:
     """Read a recording of ADS-B reports (CSV, JSON or Parquet, also zipped by gzip) and smooth it.
 
@@ -114,33 +118,39 @@ def read_path(
         duration: of that part, seconds; a recording may end before.
         radar: east and north of the radar from the middle of that part, meters.
         aircraft: icao24 of the one that is flown; "" where there is but one.
+        written: how the table is written, and what its columns are called.
 
     Raises:
         FileError: the file cannot be used, or holds too little of the part that is asked for.
         MotesError: a setting cannot be used, or does not say which of several aircraft.
     """
     _check_part(start, duration, radar)
-    found = read_table(file, REPORT, (NAME,)).by(NAME)
+    found = read_reports(file, written)
     if aircraft and aircraft not in found or not aircraft and len(found) > 1:
         names = ", ".join(sorted(found)[:SHOWN]) + ", ..." * (len(found) > SHOWN) if found.keys() != {""} else f"no column {NAME}"
         checks.refuse("aircraft", f"the {NAME} of one in {os.fspath(file)[-80:]}: {names}", repr(aircraft)[:40] if aircraft else "none",
                       "motes run target_tracking follows all at once." if len(found) > 1 else "")  # fmt: skip
     table = found[aircraft] if aircraft else next(iter(found.values()))
-    heard = _heard(table)
+    heard = heard_of(table)
+    check_agreement(table.source, heard)
     if len(heard.timestamp) < LEAST:
         checks.refuse(table.source, f"at least {LEAST} reports of position and velocity",
                       f"{len(heard.timestamp)} of {len(table.places)} rows", error=checks.FileError)  # fmt: skip
-    reports = _part(heard, heard.timestamp[0], start, duration)
+    reports = part_of(heard, heard.timestamp[0], start, duration)
     if len(reports.timestamp) < LEAST:
         seconds = heard.timestamp[-1] - heard.timestamp[0]
         checks.refuse(table.source, f"at least {LEAST} positions from second {start:g} to {start + duration:g}",
                       f"{len(reports.timestamp)} in a recording of {seconds:.0f} s", "Set start and duration.",
                       checks.FileError)  # fmt: skip
-    return path_of(reports, radar)
+    return path_of(reports, radar)._replace(start=float(heard.timestamp[0] + reports.timestamp[0]), clock=clock_of(table))
 
 
 def read_paths(
-    file: str | os.PathLike[str], start: float = BEGIN, duration: float = DURATION, radar: tuple[float, float] = RADAR
+    file: str | os.PathLike[str],
+    start: float = BEGIN,
+    duration: float = DURATION,
+    radar: tuple[float, float] = RADAR,
+    written: NamedDialect = NAMED,
 ) -> dict[str, Path]:
     """Read the paths of all aircraft of a recording, on one plane; see `read_path`.
 
@@ -152,16 +162,20 @@ def read_paths(
         MotesError: a setting cannot be used.
     """
     _check_part(start, duration, radar)
-    heard = {name: _heard(table) for name, table in read_table(file, REPORT, (NAME,)).by(NAME).items()}
+    tables = read_reports(file, written)
+    heard = {name: heard_of(table) for name, table in tables.items()}
+    for name, reports in heard.items():
+        check_agreement(tables[name].source, reports)
     first = min((reports.timestamp[0] for reports in heard.values() if reports.timestamp.size), default=0.0)
-    parts = {name: _part(reports, first, start, duration) for name, reports in heard.items()}
+    parts = {name: part_of(reports, first, start, duration) for name, reports in heard.items()}
     parts = {name: reports for name, reports in parts.items() if reports.timestamp.size >= LEAST}
     if not parts:
         checks.refuse(os.fspath(file)[-160:], f"an aircraft with {LEAST} positions from second {start:g} to {start + duration:g}",
                       f"{len(heard)} with fewer", "Set start and duration.", checks.FileError)  # fmt: skip
     everywhere = [np.concatenate(column) for column in zip(*parts.values(), strict=True)]
-    middle = _middle(Reports(*everywhere))
-    return {name: path_of(reports, radar, middle)._replace(times=reports.timestamp - start) for name, reports in parts.items()}
+    middle, begins = _middle(Reports(*everywhere)), float(first + start)
+    return {name: path_of(reports, radar, middle)._replace(times=reports.timestamp - start, start=begins, clock=clock_of(tables[name]))
+            for name, reports in parts.items()}  # fmt: skip
 
 
 def _check_part(start: float, duration: float, radar: tuple[float, float]) -> None:
@@ -186,45 +200,12 @@ def path_of(reports: Reports, radar: tuple[float, float] = RADAR, middle: tuple[
     course = np.radians(track)
     stretch = shrink / np.cos(np.radians(latitude))
     axes = [smoothed(time, east, KNOT * speed * np.sin(course) * stretch), smoothed(time, north, KNOT * speed * np.cos(course))]
-    return Path(time - time[0], np.stack([axes[0][:, 0], axes[1][:, 0], axes[0][:, 1], axes[1][:, 1]], axis=1))
+    states = np.stack([axes[0][:, 0], axes[1][:, 0], axes[0][:, 1], axes[1][:, 1]], axis=1)
+    return Path(time - time[0], states, middle, radar, float(time[0]))
 
 
 def _middle(reports: Reports) -> tuple[float, float]:
     return float(np.median(reports.latitude)), float(np.median(reports.longitude))
-
-
-def wrapped_degrees(angle: np.ndarray) -> np.ndarray:
-    """Return angles from -180 to 180 degrees, so that a flight may cross the date line."""
-    return (angle + 180) % 360 - 180
-
-
-def _heard(table: Columns) -> Reports:
-    """Return the reports that count, their times in seconds."""
-    time, latitude, longitude, speed, track = (table[name] for name in REPORT)
-    silent = (np.isnan(latitude) & np.isnan(longitude)) | (np.isnan(speed) & np.isnan(track))
-    for name, (low, high) in zip(REPORT, LIMITS, strict=True):
-        bad = ~silent & ~((table[name] >= low) & (table[name] <= high))
-        if bad.any():
-            row = int(np.argmax(bad))
-            given = "none" if np.isnan(table[name][row]) else f"{table[name][row]:g}"
-            checks.refuse(f"{table.source}: column {name!r}", f"a number between {low:g} and {high:g} in {table.place(row)}", given,
-                          "Take the row out, or leave all of its position or velocity empty.", checks.FileError)  # fmt: skip
-    heard = np.flatnonzero(~silent)
-    seconds = time[heard] / (MILLI if (time[heard][:1] > LATEST).any() else 1.0)
-    back = np.diff(seconds) < 0
-    if back.any():
-        row = heard[int(np.argmax(back)) + 1]
-        checks.refuse(f"{table.source}: column 'timestamp'", "times that never decrease", f"an earlier one in {table.place(row)}",
-                      "Sort the rows by time.", checks.FileError)  # fmt: skip
-    return Reports(seconds, *(column[heard] for column in (latitude, longitude, speed, track)))
-
-
-def _part(reports: Reports, first: float, start: float, duration: float) -> Reports:
-    """Return the reports of a part, their times since the first report, without those that repeat a position."""
-    seconds = reports.timestamp - first
-    kept = (seconds >= start) & (seconds <= start + duration)
-    kept[1:] &= (np.diff(reports.latitude) != 0) | (np.diff(reports.longitude) != 0)
-    return Reports(*(column[kept] for column in reports._replace(timestamp=seconds)))
 
 
 def smoothed(times: np.ndarray, position: np.ndarray, speed: np.ndarray) -> np.ndarray:

@@ -1,6 +1,8 @@
 """What a user can set of the aircraft's job, and the numbers of its model, as records without arrays."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+from motes.io.dialect import TableFile
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,8 @@ class Settings:
     """Follow an airliner by radar through its turns.
 
     Attributes:
-        data: a recording of ADS-B reports (CSV, JSON or Parquet, also gzipped) with the columns timestamp, latitude, longitude (degrees),
-            groundspeed (knots) and track (degrees from north); a flight is made up where no file is named.
+        data: a recording of ADS-B reports with the columns timestamp (s, or dates), latitude, longitude (degrees), groundspeed (knots) and
+            track (degrees from north); a flight is made up where no file is named.
         aircraft: icao24 of the one that is followed, where the recording has several.
         begin: of the part that is flown, seconds since the first report.
         duration: of that part, or of a flight that is made up, seconds.
@@ -51,7 +53,7 @@ class Settings:
         plots: what it measures.
     """
 
-    data: str = field(default="", metadata={"path": True})
+    data: TableFile = TableFile()
     aircraft: str = ""
     begin: float = 0.0
     duration: float = 4800.0

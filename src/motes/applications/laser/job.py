@@ -12,7 +12,7 @@ from motes.applications.interface import Job, Score, with_cloud
 from motes.applications.laser.grid import Grid, read_grid, write_grid
 from motes.applications.laser.model import LikelihoodField, laser_model, poses_of, seeking, usual
 from motes.applications.laser.pictures import building_animation, building_figure
-from motes.applications.laser.scans import Scans, read_scan_topics, read_scans, write_scans
+from motes.applications.laser.scans import Scans, check_reach, read_scan_topics, read_scans, write_scans
 from motes.applications.laser.settings import Settings
 from motes.applications.laser.world import driven
 from motes.applications.robot.kidnapping import found_after
@@ -37,11 +37,13 @@ def load(settings: Settings, seed: int) -> "LaserJob":
         FileError: a file cannot be used.
         MotesError: a setting cannot be used, or only one of the two files is named.
     """
-    if bool(settings.map) != bool(settings.data):
-        checks.refuse("map, data", "both or none", "data alone" if settings.data else "map alone", "Name the other file.")
-    if settings.data:
+    file = settings.data.file
+    if bool(settings.map) != bool(file):
+        checks.refuse("map, data", "both or none", "data alone" if file else "map alone", "Name the other file.")
+    if file:
         grid = read_grid(settings.map)
-        scans = read_scan_topics(settings.data, settings.topics) if is_bag(settings.data) else read_scans(settings.data)
+        scans = read_scan_topics(file, settings.topics) if is_bag(file) else read_scans(file, settings.data)
+        check_reach(file[-160:], scans, grid.resolution * float(np.hypot(*grid.occupied.shape)), settings.data.units)
     else:
         grid, scans = driven(seed, settings.seconds, settings.kidnap, settings.outliers)
     inputs = {"forward": jnp.asarray(scans.forward, float), "turn": jnp.asarray(scans.turn, float)}
@@ -50,7 +52,8 @@ def load(settings: Settings, seed: int) -> "LaserJob":
     return LaserJob(
         model=laser_model(field, poses), ys=jnp.asarray(scans.ranges, float), inputs=inputs, truth=scans.poses,
         times=scans.times, filters={"recovering": AdaptiveSize(recovering, SIZES, CELLS)},
-        keep=with_cloud, counted=("px", "py"), grid=grid, scans=scans, kidnap=0.0 if settings.data else settings.kidnap,
+        keep=with_cloud, counted=("px", "py"), grid=grid, scans=scans, kidnap=0.0 if file else settings.kidnap,
+        start=scans.start, clock=scans.clock,
     )  # fmt: skip
 
 
@@ -99,8 +102,8 @@ class LaserJob(Job):
 
     def written(self, folder: Path, settings: Settings) -> Settings:
         """Write a map and scans that were made up."""
-        if settings.data:
+        if settings.data.file:
             return settings
         write_grid(folder / MAP, self.grid)
         write_scans(folder / SCANS, self.scans)
-        return replace(settings, map=str(folder / MAP), data=str(folder / SCANS))
+        return replace(settings, map=str(folder / MAP), data=replace(settings.data, file=str(folder / SCANS)))

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from motes.io.dialect import TableFile
+
 
 @dataclass(frozen=True)
 class Topics:
@@ -37,7 +39,7 @@ class Settings:
     """
 
     map: str = field(default="", metadata={"path": True})
-    data: str = field(default="", metadata={"path": True})
+    data: TableFile = TableFile()
     topics: Topics = Topics()
     seconds: float = 200.0
     kidnap: float = 0.0

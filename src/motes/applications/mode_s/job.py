@@ -18,7 +18,9 @@ from motes.applications.mode_s.recording import RATE, read_samples, write_sample
 from motes.applications.mode_s.settings import Settings
 from motes.applications.mode_s.world import received
 from motes.core import checks
+from motes.core.findings import Diagnosis
 from motes.filters import keep as keeping
+from motes.filters import notices
 from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.jump_markov import JumpMarkovFilter
@@ -89,6 +91,14 @@ class ModeSJob(Job):
     ) -> Iterator[History]:
         """Run a filter; the pieces are of few messages, so that these are told as they come."""
         return run_in_chunks(seed, filter, self.model, ys, inputs, keep, min(chunk, AT_A_TIME * BITS), after)
+
+    def track(self, history: History) -> None:
+        """Return nothing: what is found are messages, whose table has the positions."""
+        return
+
+    def diagnosed(self, history: History) -> Diagnosis:
+        """Judge by whether estimates are numbers: parity tells right messages from others, which a false preamble gives, too."""
+        return Diagnosis.of([notices.numbers(history)])
 
     def about(self) -> str:
         """Tell of the recording."""

@@ -14,6 +14,7 @@ from motes.applications.robot.kidnapping import recovering
 from motes.applications.robot.pictures import robot_figure
 from motes.applications.robot.settings import Settings
 from motes.applications.robot.world import simulated
+from motes.core.findings import Diagnosis
 from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.marginalized import MarginalizedParticleFilter
@@ -34,13 +35,13 @@ def load(settings: Settings, seed: int) -> "RobotJob":
         FileError: the file cannot be used.
         MotesError: a setting cannot be used.
     """
-    recording = read_recording(settings.data, settings.topics) if settings.data else simulated(seed, settings.seconds)
+    recording = read_recording(settings.data, settings.topics, settings.units) if settings.data else simulated(seed, settings.seconds)
     made = scenario.of_recording(recording, settings.odometry, settings.outliers, settings.start, settings.kidnap)
     usual: Filter = MarginalizedParticleFilter(n=1_000, linear=("scale", "offset"))
     return RobotJob(
         model=made.model, ys=jnp.asarray(made.ys), inputs=made.inputs, times=made.times, scenario=made, recording=recording,
         filters={"recovering": recovering(made.beacons, len(made.model.names))} if settings.kidnap else {"marginalized": usual},
-        counted=("px", "py"), blocks={"position": ("px", "py")},
+        counted=("px", "py"), blocks={"position": ("px", "py")}, start=recording.start,
     )  # fmt: skip
 
 
@@ -76,8 +77,12 @@ class RobotJob(Job):
         return (*told, *(Score(name, None if lost else value, unit, digits) for name, value, unit, digits in again))
 
     def verdict(self, history: History) -> str:
-        """Say whether to trust the run."""
-        return str(scenario.diagnosed(history, self.scenario))
+        """Say nothing: the table tells all."""
+        return ""
+
+    def diagnosed(self, history: History) -> Diagnosis:
+        """Judge by what else is known of the radios."""
+        return scenario.diagnosed(history, self.scenario)
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the way with its errors and the scale, and the states."""

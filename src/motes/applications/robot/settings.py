@@ -28,6 +28,8 @@ class Settings:
             with gtsam, in gtsam/Data; or a bag (rosbag 1 or 2), with the names of its topics in topics. One is made up where no file is
             named.
         topics: what is where in a bag.
+        units: of what a recording in MATLAB's format has in others than seconds, meters and radians, as in range = "ft": of time, place,
+            heading, forward, turn, range.
         seconds: how long a robot that is made up drives, at least 60.
         odometry: "recorded" as in the file, or "drifting": turns from the drifting path, 20 m off on their own.
         outliers: share of ranges that may be far off, such as 0.1; 0 for Gaussian errors.
@@ -37,6 +39,7 @@ class Settings:
 
     data: str = field(default="", metadata={"path": True})
     topics: Topics = Topics()
+    units: dict[str, str] = field(default_factory=dict)
     seconds: float = 600.0
     odometry: Literal["recorded", "drifting"] = "recorded"
     outliers: float = 0.0

@@ -44,17 +44,20 @@ def load(settings: Settings, seed: int) -> "SlamJob":
     checks.above_zero("scale", settings.scale)
     by_ranges = settings.data.lower().endswith(".mat") or is_bag(settings.data) if settings.data else settings.sights == "ranges"
     if by_ranges:
-        recording = read_recording(settings.data, settings.topics) if settings.data else simulated(seed, settings.seconds)
+        recording = read_recording(settings.data, settings.topics, settings.units) if settings.data else simulated(seed, settings.seconds)
+        start = recording.start
         way, write = recorded.by_ranges(recording), (lambda folder: write_plaza(folder / RANGES, recording))
         model = ranging(way.landmarks, settings.gaussians, settings.scale)
     else:
-        world = None if settings.data else made_up(seed, settings.seconds)
+        if settings.units:
+            checks.refuse("units", "none of a recording of landmarks seen", ", ".join(settings.units)[:80])
+        start, world = 0.0, None if settings.data else made_up(seed, settings.seconds)
         graph = recorded.read_graph(settings.data) if world is None else world.graph
         way = recorded.by_places(graph) if world is None else recorded.by_places(*world)
         write, model = (lambda folder: recorded.write_graph(folder / GRAPH, graph)), seeing(way.landmarks)
     return SlamJob(
         model=model, ys=way.ys, inputs=jax.tree.map(lambda leaf: jnp.asarray(leaf, float), way.inputs), times=way.times, way=way,
-        write=write, file=RANGES if by_ranges else GRAPH, keep=with_map, counted=("px", "py"),
+        write=write, file=RANGES if by_ranges else GRAPH, keep=with_map, counted=("px", "py"), start=start,
         filters={"landmarks": LandmarkFilter(n=100, on_collapse="predict")},
     )  # fmt: skip
 

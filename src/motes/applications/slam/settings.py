@@ -15,6 +15,8 @@ class Settings:
             "ODOMETRY i j dx dy dtheta ..." and "LANDMARK i k x y ...", such as victoria_park.txt; both come with gtsam, in gtsam/Data.
             Or a bag (rosbag 1 or 2) of odometry and ranges, with the names of its topics in topics. One is made up where no file is named.
         topics: what is where in a bag.
+        units: of what a recording in MATLAB's format has in others than seconds, meters and radians, as in range = "ft": of time, place,
+            heading, forward, turn, range.
         seconds: how long a robot that is made up drives, at least 60.
         sights: what a robot that is made up measures: "ranges" to beacons, or "places" of objects, seen from it.
         gaussians: of which the law of a beacon is made at its first range, evenly on the ring.
@@ -23,6 +25,7 @@ class Settings:
 
     data: str = field(default="", metadata={"path": True})
     topics: Topics = Topics()
+    units: dict[str, str] = field(default_factory=dict)
     seconds: float = 600.0
     sights: Literal["ranges", "places"] = "ranges"
     gaussians: int = 24

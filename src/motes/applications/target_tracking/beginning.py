@@ -53,14 +53,22 @@ def begun(times: np.ndarray, scans: list[np.ndarray], radar: Radar) -> Beginning
     Raises:
         MotesError: no scans have so many.
     """
+    found = begins(times, scans, radar)
+    if found is None:
+        checks.refuse("data", f"{SUPPORT} of {SCANS} scans with plots on a line that an aircraft could fly", f"none in {len(scans)} scans",
+                      "Look at the units of the columns, and at the accuracy under [radar].")  # fmt: skip
+    return found
+
+
+def begins(times: np.ndarray, scans: list[np.ndarray], radar: Radar) -> Beginning | None:
+    """Return where the first track begins, as for `begun`; None where none does."""
     for first in range(len(scans) - SUPPORT + 1):
         last = min(first + SCANS, len(scans))
         size = last - first
         best = _best(times[first:last], scans[first:last], [(i, j) for i in range(size) for j in range(i + 1, size)], radar)
         if best is not None:
             return best.begin._replace(scan=first + best.begin.scan)
-    checks.refuse("data", f"{SUPPORT} of {SCANS} scans with plots on a line that an aircraft could fly", f"none in {len(scans)} scans",
-                  "Look at the numbers of the radar: range and range rate in meters, azimuth in degrees from north.")
+    return None
 
 
 def beginnings(times: np.ndarray, scans: list[np.ndarray], radar: Radar) -> list[Beginning]:

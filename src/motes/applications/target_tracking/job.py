@@ -8,6 +8,7 @@ from motes.applications.target_tracking import scans as reading
 from motes.applications.target_tracking.beginning import begun
 from motes.applications.target_tracking.model import Tracker
 from motes.applications.target_tracking.one import TrackingJob
+from motes.applications.target_tracking.readings import check_units
 from motes.applications.target_tracking.settings import Settings
 from motes.applications.target_tracking.several import SeveralJob
 from motes.applications.target_tracking.shared import RadarJob
@@ -39,17 +40,19 @@ def load(settings: Settings, seed: int) -> RadarJob:
     checks.above_zero("radar detection", radar.detection, 1)
     world = _world(settings, seed)
     if world is not None:
-        times, names, truth, scans = world
+        times, names, truth, scans, before, clock = world
     else:
-        times, scans = reading.read_scans(settings.data, settings.period)
-        names, truth = reading.read_truth(settings.truth, times) if settings.truth else ((), None)
+        (times, scans, clock), before = reading.read_scans(settings.data, settings.period), 0.0
+        names, truth = reading.read_truth(settings, times) if settings.truth else ((), None)
+        check_units(settings.data, times, scans)
     room = max(*(len(scan) + 1 for scan in scans), room_for(radar.false))
-    common = {"radar": radar, "world": world, "seed": seed, "counted": ("east", "north")}
+    common = {"radar": radar, "world": world, "seed": seed, "counted": ("east", "north"), "start": before + float(times[0]),
+              "clock": clock, "data": settings.data}  # fmt: skip
     if settings.targets != 1 or len(names) > 1:
         return SeveralJob(
             model=Tracker(radar, room)(*INBOUND), tracker=Tracker(radar, room),
             ys=plots(scans), inputs={"dt": jnp.asarray(np.diff(times, prepend=times[0]), float)}, truth=truth,
-            targets=names, start=float(times[0]), times=times - times[0], filters={"jump_markov": JumpMarkovFilter(n=5)}, **common,
+            targets=names, times=times - times[0], filters={"jump_markov": JumpMarkovFilter(n=5)}, **common,
         )  # fmt: skip
     begin = begun(times, scans, radar)
     if begin.scan == len(scans) - 1:
@@ -67,6 +70,6 @@ def load(settings: Settings, seed: int) -> RadarJob:
 
 def _world(settings: Settings, seed: int) -> World | None:
     """What was flown, where it is made up or recorded; None where there are plots."""
-    if not settings.data:
+    if not settings.data.file:
         return made_up(seed, settings.scans, settings.period, settings.radar, settings.targets)
-    return reading.flown_by(settings.data, settings, seed) if reading.is_recording(settings.data) else None
+    return reading.flown_by(settings, seed) if reading.is_recording(settings.data) else None

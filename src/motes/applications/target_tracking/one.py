@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from motes.applications.interface import Score
+from motes.applications.interface import Score, deviations
 from motes.applications.target_tracking.shared import LOST, RadarJob
 from motes.applications.target_tracking.world import range_rate
 from motes.core.record import replace as with_policy
 from motes.filters.history import History
 from motes.filters.run import run
+from motes.io.named_tables import own_unit
+from motes.io.result_table import Table
+from motes.io.units import back_to
 from motes.models.state_space import StateSpaceModel
 
 
@@ -73,6 +76,14 @@ class TrackingJob(RadarJob):
         said = [f"{scores[0].value:.0f} m off while hidden, {'lost' if (scores[2].value or 0) > LOST else 'not lost'}" for scores in found]
         return (f"The radar hears nothing of a target whose range rate is below {self.radar.notch:g} m/s. "
                 f"A tracker that knows it: {said[0]}. One that expects {self.radar.detection:g} everywhere: {said[1]}.")  # fmt: skip
+
+    def track(self, history: History) -> Table:
+        """Return the places that a run found, also as plots have them; standard deviations in meters."""
+        east, north = np.asarray(history.mean, np.float64)[:, :2].T
+        polar = {"range": back_to(np.hypot(east, north), own_unit(self.data, "range"), "m"),
+                 "azimuth": back_to(np.degrees(np.arctan2(east, north)) % 360, own_unit(self.data, "azimuth"), "deg")}  # fmt: skip
+        spreads = deviations(history.cov)
+        return self.way(history, polar | {"east, m": east, "north, m": north}, {"east, m": spreads[:, 0], "north, m": spreads[:, 1]})
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the plane, range rate and errors, once as a picture and once as an animation."""

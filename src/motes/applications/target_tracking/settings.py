@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from motes.applications.aircraft.settings import Site
+from motes.io.dialect import TableFile
 
 DEMO = "notch"
 """What `motes demo` shows of it: an aircraft in the radar's blind zone."""
@@ -40,12 +41,12 @@ class Settings:
     """Follow aircraft by radar, also where the radar is blind to them, among false plots.
 
     Attributes:
-        data: plots (CSV, JSON or Parquet) with the columns time (s), range (m), azimuth (degrees from north) and range_rate (m/s), in order
-            of time; those of one time are one scan, a row with a time alone a scan that saw nothing. Or a recording of ADS-B reports, also
-            of several aircraft (column icao24), with the columns that the application aircraft reads: plots are drawn along its flights.
+        data: plots with the columns time (s, or dates), range (m), azimuth (degrees from north) and range_rate (m/s), in order of time;
+            those of one time are one scan, a row with a time alone a scan that saw nothing. Or a recording of ADS-B reports, also of
+            several aircraft (column icao24), with the columns that the application aircraft reads: plots are drawn along its flights.
             Flights are made up where no file is named.
-        truth: true states for scoring, a file with the columns time, east, north (m), v_east and v_north (m/s), and target (a name or a
-            number) where there are several; none if empty.
+        truth: true states for scoring, a file, written as the plots are, with the columns time, east, north (m), v_east and v_north (m/s),
+            and target (a name or a number) where there are several; none if empty.
         targets: number of flights that are made up. Where it is not 1 (0 for a file), or the truth or the recording has several, their
             number counts as unknown: tracks begin and end by themselves.
         period: seconds between scans; scans of the file that lie further apart are filled up with some that saw nothing, unless it is 0.
@@ -55,7 +56,7 @@ class Settings:
         radar: its accuracy, and what it does not see.
     """
 
-    data: str = field(default="", metadata={"path": True})
+    data: TableFile = TableFile()
     truth: str = field(default="", metadata={"path": True})
     targets: int = 1
     period: float = 2.0

@@ -11,8 +11,10 @@ from motes.applications.target_tracking.model import Tracker
 from motes.applications.target_tracking.shared import LOST, RadarJob
 from motes.applications.target_tracking.tracks import follow
 from motes.core import checks
+from motes.core.findings import Diagnosis, Finding
 from motes.core.record import replace
 from motes.diagnostics.sets import changes, followers, gospa
+from motes.filters import notices
 from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
@@ -43,13 +45,11 @@ class SeveralJob(RadarJob):
     Attributes:
         tracker: makes the model of each track.
         targets: their names; `truth` is `(t, n, 4)`, NaN where one is not there. Both are empty where nothing is known.
-        start: time of the first scan in the user's file, s; `times` are those since.
     """
 
     goes_on = False
     tracker: Tracker
     targets: tuple[str, ...]
-    start: float
 
     def pieces(
         self, seed: int, filter: Filter, ys: Any, inputs: Any, keep: Keep, chunk: int, after: History | None = None
@@ -105,10 +105,22 @@ class SeveralJob(RadarJob):
         """Tell of each target."""
         return "" if self.truth is None or not self.targets else str(self.by_target(history))
 
+    def track(self, history: History) -> None:
+        """Return nothing: the table of tracks has all of them."""
+        return
+
+    def diagnosed(self, history: History) -> Diagnosis:
+        """Judge by what a run says unasked, and by whether something was followed."""
+        found = notices.notices(history)
+        if not np.asarray(history.kept["confirmed"]).any():
+            found.append(Finding("no track", "no track was confirmed.", "Look at units, at the radar's numbers, and at the period.", True))
+        return Diagnosis.of(found)
+
     def tables(self, history: History) -> dict[str, Table]:
         """Return all tracks, scan by scan since they were confirmed, at the times of the file; and what is told of each target."""
         steps, tracks = np.nonzero(history.kept["confirmed"])
-        rows = zip((self.start + self.times[steps]).tolist(), (tracks + 1).tolist(), history.kept["states"][steps, tracks].tolist(),
+        rows = zip(self.clock.written(self.start + self.times[steps]), (tracks + 1).tolist(),
+                   history.kept["states"][steps, tracks].tolist(),
                    history.kept["exists"][steps, tracks].tolist(), strict=True)  # fmt: skip
         found = {"tracks": Table(TRACK, tuple((time, track, *states, exists) for time, track, states, exists in rows))}
         return found if self.truth is None else found | {"targets": self.by_target(history)}

@@ -9,6 +9,7 @@ from motes.applications.interface import Job
 from motes.applications.target_tracking import scans as reading
 from motes.applications.target_tracking.settings import Radar, Settings
 from motes.applications.target_tracking.world import World
+from motes.io.dialect import TableFile
 
 LOST = 1e3
 """A track is lost when it is further off at a scan in which the radar is not blind to the target, meters."""
@@ -23,11 +24,13 @@ class RadarJob(Job):
         radar: its numbers.
         world: what was made up or drawn along a recording, or None.
         seed: of the run.
+        data: how the user's table is written.
     """
 
     radar: Radar
     world: World | None
     seed: int
+    data: TableFile
 
     def about(self) -> str:
         """Tell of scans and plots."""
@@ -41,4 +44,5 @@ class RadarJob(Job):
             return settings
         reading.written_scans(folder / PLOTS, self.world.times, self.world.scans)
         reading.written_truth(folder / TRUTH, self.world)
-        return replace(settings, data=str(folder / PLOTS), truth=str(folder / TRUTH), targets=len(self.world.names), period=0.0)
+        files = {"data": TableFile(file=str(folder / PLOTS)), "truth": str(folder / TRUTH)}
+        return replace(settings, **files, targets=len(self.world.names), period=0.0)

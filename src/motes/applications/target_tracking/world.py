@@ -9,6 +9,7 @@ import numpy as np
 
 from motes.applications.target_tracking.settings import Radar
 from motes.core import checks
+from motes.io.clocks import Clock
 
 SPEED, BEGIN, RATE = 200.0, 34e3, (0.04, 0.06)
 """Speed, m/s; range at which it begins, m; slowest and fastest turn, rad/s."""
@@ -34,12 +35,16 @@ class World(NamedTuple):
         names: of the m targets.
         states: true states `(t, m, 4)`, NaN where a target is not there.
         scans: plots of range, azimuth (from east) and range rate `(m, 3)` of each scan.
+        start: time 0 in the recording, s (of dates Unix seconds).
+        clock: how times are written there.
     """
 
     times: np.ndarray
     names: tuple[str, ...]
     states: np.ndarray
     scans: list[np.ndarray]
+    start: float = 0.0
+    clock: Clock = Clock()
 
 
 def range_rate(states: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.applications.terrain.model import Track, altimeter, unaided
+from motes.applications.terrain.recording import A_DEGREE
 from motes.core import checks
 from motes.core.record import replace
 from motes.models.state_space import StateSpaceModel
@@ -15,8 +16,6 @@ from motes.models.terrain import TerrainMap
 REACH = 5.0
 """Standard deviations of the inertial position within which voids of the map count."""
 SEGMENTS = 50
-A_DEGREE = 1e3
-"""A unit of map coordinates with more meters than this is a degree."""
 
 
 def check_covered(

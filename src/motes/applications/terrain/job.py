@@ -7,17 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from motes.applications.interface import Job, Score
+from motes.applications.interface import Job, Score, deviations
 from motes.applications.terrain import scenario
 from motes.applications.terrain.model import corrected, places_of
 from motes.applications.terrain.pictures import Tracks, error_figure, map_figure
+from motes.applications.terrain.recording import roles, units_of
 from motes.applications.terrain.roughness import roughness
-from motes.applications.terrain.settings import Settings
+from motes.applications.terrain.settings import Recording, Settings
 from motes.filters.history import History
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.filters.particle import ParticleFilter
 from motes.io.archive import whole_file
 from motes.io.result_table import Table
+from motes.io.units import back_to
 from motes.plotting.plot import plot
 
 PARTICLES = 15_000
@@ -46,6 +48,7 @@ def load(settings: Settings, seed: int) -> "TerrainJob":
     position = ("rN", "rE")
     return TerrainJob(
         model=flight.model, ys=flight.ys, inputs=flight.inputs, truth=flight.errors, times=flight.seconds, flight=flight,
+        start=flight.start, clock=flight.clock, recording=settings.data,
         filters={"marginalized": MarginalizedParticleFilter(n=PARTICLES), "particle": ParticleFilter(n=PARTICLES)},
         counted=position, blocks={"position": position, "velocity": ("vN", "vE")}, lost=("position", scenario.LOST),
     )  # fmt: skip
@@ -57,9 +60,11 @@ class TerrainJob(Job):
 
     Attributes:
         flight: what was measured, and what is known of the truth.
+        recording: how the user's table is written.
     """
 
     flight: scenario.Flight
+    recording: Recording
 
     def about(self) -> str:
         """Tell whether the terrain is rough enough."""
@@ -79,6 +84,19 @@ class TerrainJob(Job):
     def verdict(self, history: History) -> str:
         """Say nothing: the table tells all."""
         return ""
+
+    def track(self, history: History) -> Table:
+        """Return the places that a run found, in the coordinates and units of the user's table; standard deviations in meters."""
+        flight, recording = self.flight, self.recording
+        places = [np.asarray(part, np.float64) for part in corrected(flight.inputs, history.mean, history.names)]
+        if recording.coordinates == "map":
+            places[:2] = flight.terrain.to_geographic(*places[:2])
+        spreads = deviations(history.cov)[:, np.array(places_of(history.names))]
+        expected = units_of(flight.terrain, recording)
+        own = [back_to(place, recording.units.get(name, recording.units.get(role, "")), expected[name])
+               for place, (role, name) in zip(places, list(roles(recording).items())[bool(recording.time):], strict=False)]  # fmt: skip
+        return self.way(history, dict(zip(recording.inertial, own, strict=True)),
+                        dict(zip(("north, m", "east, m", "altitude, m"), spreads.T, strict=True)))  # fmt: skip
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the map with the tracks, the errors, and the states."""

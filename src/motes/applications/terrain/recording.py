@@ -4,10 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from motes.applications.terrain.settings import Prior, Recording
+from motes.applications.terrain.settings import Recording
 from motes.core import checks
 from motes.core.record import replace
-from motes.io.tables import Columns, read_table
+from motes.io.columns import Columns, MissingColumnError
+from motes.io.guesses import Guess, column, guessed, proposing, words_and_unit
+from motes.io.tables import read_table
 from motes.models.terrain import TerrainMap
 
 FARTHEST = 4.1e7
@@ -16,9 +18,8 @@ ALTITUDES, HEIGHTS = (-1e3, 1e6), (-500.0, 1e5)
 """Meters: what an altitude, and a reading above terrain, can be."""
 LONGEST = 1e5
 """Seconds between fixes: a day is a recording of something else, or in milliseconds."""
-FEET = 0.3048
-FAR_OFF, NEAR = 3.0, 0.5
-"""Heights that contradict the map by so many standard deviations are looked at in feet, which must leave at most this share of the gap."""
+A_DEGREE = 1e3
+"""A unit of map coordinates with more meters than this is a degree."""
 
 
 def check_recording(recording: Recording) -> None:
@@ -47,17 +48,36 @@ def _columns(recording: Recording) -> list[str]:
     return [*((recording.time,) if recording.time else ()), *recording.inertial, recording.height, *recording.truth]
 
 
-def read_recording(recording: Recording) -> Columns:
+def roles(recording: Recording) -> dict[str, str]:
+    """Return the columns that a recording names, by what they are."""
+    horizontal = ("north", "east") if recording.coordinates == "local" else ("latitude", "longitude")
+    found = {"time": recording.time} if recording.time else {}
+    found |= dict(zip((*horizontal, "altitude"), recording.inertial, strict=True)) | {"height": recording.height}
+    return found | dict(zip((f"true {name}" for name in horizontal), recording.truth, strict=False))
+
+
+def units_of(terrain: TerrainMap, recording: Recording) -> dict[str, str]:
+    """Return the unit in which each column of a recording is expected, by its name."""
+    degrees = recording.coordinates == "map" and max(terrain.scale) > A_DEGREE
+    place = "deg" if degrees else "m"
+    return {name: {"time": "s", "altitude": "m", "height": "m"}.get(role, place) for role, name in roles(recording).items()}
+
+
+def read_recording(terrain: TerrainMap, recording: Recording) -> Columns:
     """Read the columns that a recording names; what marks missing numbers is NaN.
 
     Raises:
         FileError: the file is missing, damaged or lacks a column; or a number of the inertial track is missing, or one cannot be what its
             column says; the message names column and line.
+        MotesError: what is said of the table cannot be used.
     """
-    table = read_table(recording.file, _columns(recording))
-    for name, values in table.items():
-        if recording.missing is not None and name != recording.time:
-            values[values == recording.missing] = np.nan
+    columns = roles(recording)
+    # a unit may be told of a column, or of what it is
+    dialect = replace(recording, units={columns.get(name, name): unit for name, unit in recording.units.items()})
+    try:
+        table = read_table(recording.file, list(columns.values()), (), dialect, units_of(terrain, recording))
+    except MissingColumnError as reason:
+        raise _with_columns(reason, recording) from None
     north, east, altitude = recording.inertial
     for name in recording.inertial:
         _refuse_rows(table, name, np.isnan(table[name]), "a number in every row (only the altimeter may miss)")
@@ -69,9 +89,30 @@ def read_recording(recording: Recording) -> Columns:
         if beyond.any():
             value = table[name][np.argmax(beyond)]
             hint = "Leave the cell empty if nothing was measured" + (
-                f", or say so under [data]: missing = {value:g}" if name not in recording.inertial else "") + "."  # fmt: skip
+                f", or say so under [data]: missing = [{value:g}]" if name not in recording.inertial else "") + "."  # fmt: skip
+        if name == recording.height and np.nanmedian(table[name]) < 0:
+            hint = "They are below 0 for the most part: write heights above terrain as positive numbers."
         _refuse_rows(table, name, beyond, f"meters between {low:g} and {high:g}", hint)
     return table
+
+
+def _with_columns(reason: MissingColumnError, recording: Recording) -> checks.FileError:
+    """Return a refusal with lines of TOML that name the columns that may be meant."""
+    asked = {role: name for role, name in roles(recording).items() if not role.startswith("true")}
+    there = {role: Guess(name, "") for role, name in asked.items() if name in reason.names}
+    taken = {guess.column for guess in there.values()}
+    found = there | guessed([role for role in asked if role not in there], [name for name in reason.names if name not in taken])
+    lost = [role for role in asked if role not in found]
+    track = [role for role in asked if role not in ("time", "height")]
+    words = {word for role in track[:2] if role in found for word in words_and_unit(found[role].column)[0]}
+    units = dict.fromkeys(asked, "m") | {"time": "s", "latitude": "deg", "longitude": "deg"}
+    moved = not set(track) <= set(there)
+    lines = ['coordinates = "map"'] if moved and words & {"lat", "latitude", "lon", "long", "longitude"} else []
+    if moved and found.keys() >= set(track):
+        lines.append(f"inertial = [{', '.join(column(found[role], units[role]) for role in track)}]")
+    lines += [f"{role} = {column(found[role], units[role])}" for role in ("height", "time") if role in found and role not in there]
+    lines += ['time = ""', f"step = {recording.step:g}"] if "time" in lost else []
+    return proposing(reason, lines if found else [], lost)
 
 
 def _refuse_rows(table: Columns, name: str, bad: np.ndarray, expected: str, hint: str = "") -> None:
@@ -119,35 +160,3 @@ def misreadings(terrain: TerrainMap, recording: Recording, table: Columns) -> li
          *local(terrain, recording, table, (east, north))),
         (f'They look like {other_system}: set coordinates = "{other.coordinates}".', *local(terrain, other, table, recording.inertial)),
     ]
-
-
-def check_units(terrain: TerrainMap, recording: Recording, table: Columns, north: np.ndarray, east: np.ndarray, prior: Prior) -> None:
-    """Refuse altitudes or heights in feet: those that contradict the map as meters and agree with it once they are converted.
-
-    Args:
-        terrain: the map.
-        recording: names of the columns.
-        table: the columns.
-        north: of the inertial track, meters of the map's south-west post.
-        east: likewise.
-        prior: how far off the inertial track may be.
-
-    Raises:
-        FileError: naming the columns.
-    """
-    altitude, height = table[recording.inertial[2]], table[recording.height]
-    known = np.isfinite(height) & np.asarray(terrain.inside(north, east))
-    ground = np.asarray(terrain.height(np.where(known, north, 0), np.where(known, east, 0)), np.float64)
-    known &= np.isfinite(ground)
-    if not known.any():
-        return
-    readings = {"": (1, 1), f"{recording.height!r} looks": (1, FEET), f"{recording.inertial[2]!r} looks": (FEET, 1),
-                f"{recording.inertial[2]!r} and {recording.height!r} look": (FEET, FEET)}
-    gaps = {what: abs(float(np.median(a * altitude[known] - h * height[known] - ground[known]))) for what, (a, h) in readings.items()}
-    as_said = gaps.pop("")
-    meant = min(gaps, key=lambda what: gaps[what])
-    # the track is beside the true one, so that the ground below is another piece of the same relief
-    usual = prior.vertical_position + float(np.nanstd(np.asarray(terrain.heights))) / 2
-    if as_said > FAR_OFF * usual and gaps[meant] < NEAR * as_said:
-        checks.refuse(f"{table.source}: heights", "meters that agree with the map", f"{as_said:.0f} m of contradiction at the median fix",
-                      f"{meant} like feet: multiply by {FEET}.", checks.FileError)  # fmt: skip

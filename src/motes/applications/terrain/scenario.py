@@ -10,7 +10,8 @@ import numpy as np
 from motes.applications.terrain.coverage import check_covered, over_map, without_far_voids
 from motes.applications.terrain.cruise import Cruise, cruise_of
 from motes.applications.terrain.model import Track, corrected, error_model
-from motes.applications.terrain.recording import check_recording, check_steps, check_units, local, misreadings, read_recording
+from motes.applications.terrain.readings import check_readings, check_seconds
+from motes.applications.terrain.recording import check_recording, check_steps, local, misreadings, read_recording
 from motes.applications.terrain.settings import (
     FIRST,
     INERTIAL,
@@ -24,10 +25,12 @@ from motes.applications.terrain.settings import (
     Route,
 )
 from motes.core import checks
-from motes.core.record import record, replace
+from motes.core.record import record, replace, static
 from motes.core.types import KeyLike
 from motes.filters.history import History
+from motes.io.clocks import Clock
 from motes.io.rasters import jacksboro, mosaic, read_raster
+from motes.io.units import converted
 from motes.models.simulate import simulate
 from motes.models.state_space import StateSpaceModel
 from motes.models.terrain import TerrainMap, terrain_map
@@ -50,6 +53,8 @@ class Flight:
         seconds: time of each fix since the first, `(t,)`, float64.
         truth: true north and east, `(t, 2)`, m; None if not known.
         errors: true inertial errors `(t, x)`, where they were simulated; otherwise None.
+        start: time of the first fix in the recording, s (of dates Unix seconds).
+        clock: how times are written there.
     """
 
     model: StateSpaceModel
@@ -59,6 +64,8 @@ class Flight:
     seconds: np.ndarray
     truth: jax.Array | None = None
     errors: jax.Array | None = None
+    start: float = static(default=0.0)
+    clock: Clock = static(default=Clock())
 
 
 class Score(NamedTuple):
@@ -139,7 +146,10 @@ def load_map(files: MapFiles) -> TerrainMap:
     """
     if not files.files:
         checks.refuse("map files", "at least one file of heights", "none")
-    return _bounded(terrain_map(mosaic([read_raster(file, nodata=files.nodata) for file in files.files])), files.outside)
+    found = mosaic([read_raster(file, nodata=files.nodata) for file in files.files])
+    if files.unit != "m":
+        found = replace(found, heights=converted("map unit", found.heights, files.unit, "m"))
+    return _bounded(terrain_map(found), files.outside)
 
 
 def loaded(
@@ -160,15 +170,16 @@ def loaded(
     """
     check_recording(recording)
     terrain = load_map(files)
-    table = read_recording(recording)
+    table = read_recording(terrain, recording)
     name = Path(recording.file).name
     rows = table[recording.height].size
-    seconds = table.times(recording.time, repeats=False)[1] if recording.time else np.arange(rows) * recording.step
+    start, seconds = table.times(recording.time, repeats=False) if recording.time else (0.0, np.arange(rows) * recording.step)
     step, since = _spacing(seconds, recording.step)
-    check_steps(name, seconds)
     north, east = local(terrain, recording, table, recording.inertial)
+    check_seconds(recording, table, seconds, (north, east))
+    check_steps(name, seconds)
     check_covered(terrain, north, east, f"the inertial track in {name}", misreadings(terrain, recording, table))
-    check_units(terrain, recording, table, north, east, prior)
+    check_readings(terrain, files, recording, table, (north, east), prior)
     altitude = table[recording.inertial[2]]
     dtype = terrain.heights.dtype
     inertial = Track(*(jnp.asarray(part, dtype) for part in (north, east, altitude)))
@@ -178,7 +189,8 @@ def loaded(
     model = without_far_voids(error_model(terrain, noises, prior, step, kind, cruise), inertial, noises.altimeter)
     truth = jnp.asarray(np.stack(local(terrain, recording, table, recording.truth), axis=1), dtype) if recording.truth else None
     ys = over_map(terrain, inertial, jnp.asarray(table[recording.height][:, None], dtype))
-    return Flight(model, terrain, ys, inertial, seconds, truth)
+    clock = table.clocks.get(recording.time, Clock())
+    return Flight(model, terrain, ys, inertial, seconds, truth, start=start, clock=clock)
 
 
 def _spacing(seconds: np.ndarray, otherwise: float) -> tuple[float | None, np.ndarray | None]:

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass, field
 
+from motes.io.dialect import Dialect
+
 
 @dataclass(frozen=True)
 class Noises:
@@ -73,19 +75,21 @@ class MapFiles:
 
     Attributes:
         files: DTED, HGT, GeoTIFF or npz files; neighbors on one grid are joined.
-        nodata: a height in the files that means "unknown", m.
+        nodata: a height in the files that means "unknown".
+        unit: of the heights in the files, such as "ft".
         outside: what to do with a flight that leaves the map: "refuse" it, or take fixes whose inertial position lies outside as "missing"
             (what lies there is then a void).
     """
 
     files: tuple[str, ...] = field(default=(), metadata={"path": True})
     nodata: float | None = None
+    unit: str = "m"
     outside: str = "refuse"
 
 
 @dataclass(frozen=True)
-class Recording:
-    """The table of measurements, CSV or Parquet, one row per fix.
+class Recording(Dialect):
+    """The table of measurements, CSV, JSON or Parquet, one row per fix.
 
     Attributes:
         file: the table.
@@ -93,20 +97,18 @@ class Recording:
             (latitude and longitude in degrees, or northing and easting in meters).
         inertial: names of three columns of the inertial track: north or latitude, east or longitude, altitude in meters.
         height: name of the column of heights above terrain by the altimeter, meters; empty cells are fixes that failed.
-        time: name of the column of times, seconds or ISO 8601; "" where fixes are `step` apart.
+        time: name of the column of times, seconds or dates; "" where fixes are `step` apart.
         step: seconds between fixes where there is no column of times.
         truth: names of the columns of the true north (or latitude) and east (or longitude), for scoring; none if not known.
-        missing: a number that means "not measured", beside empty cells.
     """
 
     file: str = field(default="", metadata={"path": True})
     coordinates: str = "local"
-    inertial: tuple[str, ...] = ("ins_north", "ins_east", "ins_altitude")
-    height: str = "height"
-    time: str = "time"
+    inertial: tuple[str, ...] = field(default=("ins_north", "ins_east", "ins_altitude"), metadata={"column": True})
+    height: str = field(default="height", metadata={"column": True})
+    time: str = field(default="time", metadata={"column": True})
     step: float = 0.3
-    truth: tuple[str, ...] = ()
-    missing: float | None = None
+    truth: tuple[str, ...] = field(default=(), metadata={"column": True})
 
 
 @dataclass(frozen=True)

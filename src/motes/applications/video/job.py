@@ -203,6 +203,11 @@ class VideoJob(Job):
             checks.refuse("box", "one, to be planned or studied", len(self.targets))
         return cut_out(self.targets[0], next(self.ys.shown()))  # type: ignore[arg-type]
 
+    def length(self) -> int | None:
+        """Return how many pictures there are, at most."""
+        source = self.ys.source
+        return self.ys.count or (source.count - self.ys.first if source.count else None)
+
     def told(self) -> str:
         """Tell what is followed, and how."""
         return repr([(target.box.tolist(), target.look, target.learns) for target in self.targets])
@@ -236,6 +241,10 @@ class VideoJob(Job):
         if steps < asked:
             said.append(f"The clip ended after {steps} of {asked} pictures.")
         return " ".join(said)
+
+    def stamps(self, history: History) -> tuple[str, list[int]]:
+        """Return the number of each picture."""
+        return "frame", list(range(self.ys.first, self.ys.first + np.shape(history.info.ess)[0]))
 
     def tables(self, history: History) -> dict[str, Table]:
         """Return the boxes, picture by picture."""
