@@ -1,8 +1,10 @@
-"""Draws the picture of the README and one for each method, under docs/: python docs/pictures.py [NAME ...]."""
+"""Draws the pictures of the README, of the gallery and of each method, under docs/: python docs/pictures.py [NAME ...]."""
 
 import io
 import re
+import subprocess
 import sys
+import tempfile
 import warnings
 from pathlib import Path
 
@@ -115,16 +117,38 @@ def against_truth(axes, x, mean, spread, label, several):
 
 
 def save(figure, path, dpi=100):
-    """Write a picture with few colors, which is small."""
+    """Write a figure as a small picture."""
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=dpi)
-    Image.open(file).convert("RGB").quantize(128).save(path, optimize=True)
+    shrink(file, path)
+
+
+def shrink(file, path, widest=1_000):
+    """Write a picture with few colors, and no wider than so many points."""
+    found = Image.open(file).convert("RGB")
+    found.thumbnail((widest, 4 * widest))
+    found.quantize(256).save(path, optimize=True)
+
+
+DEMOS = {"terrain": "map.png", "robot": "robot.png", "laser": "laser.png", "slam": "map.png", "aircraft": "track.png", "notch": "track.png",
+         "video": "strip.png", "modes": "messages.png"}  # fmt: skip
+"""The picture of each demonstration that the gallery shows."""
+
+
+def demo(name):
+    """Run a demonstration, and take its picture."""
+    with tempfile.TemporaryDirectory() as out:
+        subprocess.run([sys.executable, "-m", "motes.cli.main", "demo", name, "--out", out], check=True, stdout=subprocess.DEVNULL)
+        shrink(Path(out) / DEMOS[name], HERE / "gallery" / f"{name}.png", 900)
 
 
 if __name__ == "__main__":
     wanted = sys.argv[1:]
     if not wanted or "cloud" in wanted:
         save(cloud(), HERE / "cloud.png", 110)
+    for name in DEMOS:
+        if not wanted or name in wanted:
+            demo(name)
     for name, cls in methods().items():
         if not wanted or name in wanted:
             save(picture(name, cls), HERE / "methods" / f"{name}.png")

@@ -1,4 +1,4 @@
-"""Pages of every public name for the site: which there are, and their docstrings, plain prose with single backticks, as Sphinx wants them."""
+"""Pages of every public name for the site: which there are, and docstrings, prose with single backticks, as Sphinx wants them."""
 
 import inspect
 import re

@@ -27,7 +27,8 @@ BY_NIGHT = {"chains.md", "parameters.md", "studies.md", "CONTRIBUTING.md", "comi
 SMALLER = {
     "README.md": (
         *FEWER, ("runs=100", "runs=2"), ("draws=1_000", "draws=100"), ("n=1_000", "n=64"),
-        ('mo.plan(model, budget=1e-3, states=("px", "py"))', 'mo.planning.Plan(mo.KalmanFilter(), 1e-3, mo.io.Table(("filter",), (("it",),)))'),
+        ('mo.plan(model, budget=1e-3, states=("px", "py"))',
+         'mo.planning.Plan(mo.KalmanFilter(), 1e-3, mo.io.Table(("filter",), (("it",),)))'),
     ),
     "chains.md": (("draws=5_000", "draws=100"),),
     "parameters.md": (("draws=5_000", "draws=10"), ("steps=100", "steps=10")),
