@@ -14,7 +14,7 @@ import reference  # noqa: E402
 project = author = "Motes"
 root_doc = "README"
 include_patterns = ["*.md", "docs/**", "examples/README.md", "examples/*/README.md", "papers/*/README.md", "benchmarks/*.md"]
-exclude_patterns = ["docs/contents.md", "docs/site"]
+exclude_patterns = ["docs/site"]
 templates_path = [str(ROOT / "docs" / "site")]
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
 
@@ -26,6 +26,7 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 
 default_role = "code"
+highlight_language = "text"
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 napoleon_use_ivar = True  # attributes as a list: members would be told of twice
@@ -38,14 +39,17 @@ html_css_files = ["motes.css"]
 html_additional_pages = {"index": "start.html"}
 html_show_sourcelink = False
 html_copy_source = False
-html_theme_options = {"footer_start": [], "footer_end": [], "navbar_align": "left", "header_links_before_dropdown": 6}
+html_theme_options = {"footer_start": [], "footer_end": [], "navbar_align": "left", "show_nav_level": 2}
 
 
 def with_contents(app, name, source):
-    """Put the table of contents, which is of the site alone, under the first page."""
+    """Put the table of contents, which is of the site alone, under the first page; leave out of its parts what is not there."""
     if name == root_doc:
-        lines = (ROOT / "docs" / "contents.md").read_text().splitlines()
-        source[0] += "\n".join(line for line in lines if "*" not in line or any(ROOT.glob(f"{line}.md")))
+        parts = "".join(f"docs/contents/{part}\n" for part in ("start", "guides", "methods", "examples", "reference"))
+        source[0] += f"\n```{{toctree}}\n:hidden:\n\n{parts}```\n"
+    elif name.startswith("docs/contents/"):
+        lines = source[0].splitlines()
+        source[0] = "\n".join(line for line in lines if "*" not in line or any((ROOT / "docs" / "contents").glob(f"{line}.md")))
 
 
 def formula(self, node):
