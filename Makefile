@@ -65,7 +65,8 @@ lint: $(STAMP)
 	@$(BIN)/pyright
 	@$(BIN)/python tests/layering/budgets.py
 
-# the site under out/site, without a network and with warnings as errors; tutorials are run, and kept in out/notebooks until they change
+# the site under out/site, without a network and with warnings as errors; tutorials are run, and kept in out/notebooks until they
+# change. Notebooks of the examples are written; MOTES_NIGHTLY=1 runs them, which takes half an hour
 docs:
 	@$(MAKE) --no-print-directory setup VENV=$(DOCS) EXTRAS=all,docs
 	@$(DOCS)/bin/python -m sphinx -q -W --keep-going -b html -c docs . out/site
@@ -85,4 +86,4 @@ $(BENCH)/.installed: pyproject.toml benchmarks/environment.py
 	@touch $(BENCH)/.installed
 
 clean:
-	rm -rf $(VENV) $(NEWEST) $(BENCH) $(DOCS) .jax out build dist .pytest_cache .ruff_cache .hypothesis docs/api
+	rm -rf $(VENV) $(NEWEST) $(BENCH) $(DOCS) .jax out build dist .pytest_cache .ruff_cache .hypothesis docs/api examples/*/*.ipynb

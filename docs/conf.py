@@ -9,6 +9,7 @@ from docutils.utils.math import latex2mathml
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "src"), str(ROOT / "docs")]
 
+import notebooks  # noqa: E402
 import reference  # noqa: E402
 
 project = author = "Motes"
@@ -43,10 +44,14 @@ html_theme_options = {"footer_start": [], "footer_end": [], "navbar_align": "lef
 
 
 def with_contents(app, name, source):
-    """Put the table of contents, which is of the site alone, under the first page; leave out of its parts what is not there."""
+    """Put the table of contents, which is of the site alone, under the first page; leave out of its parts what is not there; lead from examples to
+    their notebooks.
+    """
     if name == root_doc:
         parts = "".join(f"docs/contents/{part}\n" for part in ("start", "guides", "methods", "examples", "reference"))
         source[0] += f"\n```{{toctree}}\n:hidden:\n\n{parts}```\n"
+    elif (ROOT / name).with_name("run.py").is_file():
+        source[0] += f"\n\n[This example as a notebook]({Path(name).parent.name}.ipynb), [its program](run.py).\n"
     elif name.startswith("docs/contents/"):
         lines = source[0].splitlines()
         source[0] = "\n".join(line for line in lines if "*" not in line or any((ROOT / "docs" / "contents").glob(f"{line}.md")))
@@ -61,6 +66,7 @@ def formula(self, node):
 def setup(app):
     """Tell Sphinx of these."""
     reference.write(ROOT / "docs" / "api")
+    notebooks.write()
     app.connect("source-read", with_contents)
     app.connect("autodoc-process-docstring", reference.escaped, priority=100)
     app.add_html_math_renderer("mathml", (formula, None), (formula, None))
