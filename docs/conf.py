@@ -44,14 +44,13 @@ html_theme_options = {"footer_start": [], "footer_end": [], "navbar_align": "lef
 
 
 def with_contents(app, name, source):
-    """Put the table of contents, which is of the site alone, under the first page; leave out of its parts what is not there; lead from examples to
-    their notebooks.
-    """
+    """Put the table of contents under the first page, leave out of its parts what is not there, lead from examples to notebooks."""
     if name == root_doc:
         parts = "".join(f"docs/contents/{part}\n" for part in ("start", "guides", "methods", "examples", "reference"))
         source[0] += f"\n```{{toctree}}\n:hidden:\n\n{parts}```\n"
-    elif (ROOT / name).with_name("run.py").is_file():
-        source[0] += f"\n\n[This example as a notebook]({Path(name).parent.name}.ipynb), [its program](run.py).\n"
+    elif name.startswith("examples/") and (ROOT / name).with_name("run.py").is_file():
+        example = Path(name).parent.name
+        source[0] += f"\n\n{{download}}`This example as a notebook <{example}.ipynb>`, {{download}}`its program <run.py>`.\n"
     elif name.startswith("docs/contents/"):
         lines = source[0].splitlines()
         source[0] = "\n".join(line for line in lines if "*" not in line or any((ROOT / "docs" / "contents").glob(f"{line}.md")))

@@ -1,7 +1,4 @@
-"""A notebook beside each example, made of its page and its program; by night (MOTES_NIGHTLY) with what it prints and draws.
-
-    python docs/notebooks.py [NAME ...]
-"""
+"""A notebook beside each example, made of its page and its program; by night (MOTES_NIGHTLY) with what it prints."""
 
 import os
 import sys
@@ -13,6 +10,7 @@ from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 KERNEL = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
+NIGHT = bool(os.environ.get("MOTES_NIGHTLY"))
 LONGEST = 3600
 """Seconds that an example may take."""
 SHOW = """from pathlib import Path
@@ -30,14 +28,14 @@ def notebook(folder):
     return new_notebook(cells=[*cells, new_code_cell(call), new_code_cell(SHOW)], metadata=KERNEL)
 
 
-def write(names=(), run=bool(os.environ.get("MOTES_NIGHTLY"))):
-    """Write the notebooks of all examples, or of some, and run them where that is asked."""
+def write(names=()):
+    """Write the notebooks of all examples, or of some, and by night run them."""
     for program in sorted(EXAMPLES.glob("*/run.py")):
         folder = program.parent
         if names and folder.name not in names:
             continue
         made = notebook(folder)
-        if run:
+        if NIGHT:
             NotebookClient(made, timeout=LONGEST, kernel_name="python3", resources={"metadata": {"path": str(folder)}}).execute()
         nbformat.write(made, folder / f"{folder.name}.ipynb")
 
