@@ -5,9 +5,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 BENCH := .venv-bench
 NEWEST := .venv-newest
+DOCS := .venv-docs
 EXTRAS := all,dev
 
-.PHONY: setup demo check test night test-native test-newest lint bench clean
+.PHONY: setup demo check test night test-native test-newest lint bench docs release clean
 
 setup: $(STAMP)
 
@@ -66,6 +67,19 @@ lint: $(STAMP)
 	@$(BIN)/pyright
 	@$(BIN)/python tests/layering/budgets.py
 
+# the site under out/site, without a network and with warnings as errors; tutorials are run, and kept in out/notebooks until they
+# change. Notebooks of the examples are written; MOTES_NIGHTLY=1 runs them, which takes half an hour
+docs:
+	@$(MAKE) --no-print-directory setup VENV=$(DOCS) EXTRAS=all,docs
+	@$(DOCS)/bin/python -m sphinx -q -W --keep-going -b html -c docs . out/site
+	@echo "out/site/index.html"
+
+# a wheel and a source distribution under dist, checked
+release: $(STAMP)
+	@rm -rf dist
+	@$(BIN)/python -m build
+	@$(BIN)/python -m twine check --strict dist/*
+
 bench: $(BENCH)/.installed
 	@$(BENCH)/bin/python benchmarks/run.py
 
@@ -74,4 +88,4 @@ $(BENCH)/.installed: pyproject.toml benchmarks/environment.py
 	@touch $(BENCH)/.installed
 
 clean:
-	rm -rf $(VENV) $(NEWEST) $(BENCH) .jax out build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(NEWEST) $(BENCH) $(DOCS) .jax out build dist .pytest_cache .ruff_cache .hypothesis docs/api examples/*/*.ipynb

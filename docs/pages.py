@@ -3,11 +3,13 @@
 import dataclasses
 import inspect
 import re
+import tomllib
 from pathlib import Path
 
 import motes as mo
 
 HERE = Path(__file__).parent
+EQUATIONS = tomllib.loads((HERE / "equations.toml").read_text())
 HEAD = """# How to choose a filter
 
 Written by `python docs/pages.py` from the filters themselves. `x` is the number of states, `n` that of particles.
@@ -60,7 +62,9 @@ def page(name, cls):
     table = f"\n| parameter | meaning | default |\n| --- | --- | --- |\n{table}" if table else ""
     guide = f"\nNeeds: {cls.guide.needs}. Cost of a step: {cls.guide.cost}. Use: {cls.guide.use}.\n" if issubclass(cls, mo.Filter) else ""
     shows = f"```python\n{code(example)}```\n"
-    return f"# `{name}`\n\n{method}\n\n{shows}\n## Parameters\n\n{about}\n{table}{guide}\n{source}\n"
+    math = "".join(f"\n$$\n{equation}\n$$\n" for equation in EQUATIONS[name].strip().split("\n\n"))
+    seen = f"![The first state of the example over its steps, with the truth]({name}.png)"
+    return f"# `{name}`\n\n{method}\n{math}\n{shows}\n{seen}\n\n## Parameters\n\n{about}\n{table}{guide}\n{source}\n"
 
 
 def parts(cls):
@@ -73,7 +77,7 @@ def parts(cls):
 
 def code(example):
     """Return the code of an example, with what it needs, and what it prints as a comment."""
-    lines = [line[4:] if line.startswith(">>> ") else f"# {line}" for line in example.splitlines()]
+    lines = [line[4:] if line.startswith((">>> ", "... ")) else f"# {line}" for line in example.splitlines()]
     needed = ["import jax", "import jax.numpy as jnp"] if "jax." in example else ["import jax.numpy as jnp"] if "jnp." in example else []
     return "\n".join([*needed, "import motes as mo", "", *lines, ""])
 

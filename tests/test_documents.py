@@ -29,6 +29,18 @@ def test_files_named_in_documents_exist(document):
             assert (document.parent / link).exists(), link
 
 
+def test_tests_named_in_documents_exist():
+    named = {found for document in DOCUMENTS for found in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", document.read_text())}
+    assert len(named) >= 15
+    for file, test in named:
+        assert f"\ndef {test}(" in (ROOT / file).read_text(), f"{file}::{test}"
+
+
+def test_fifteen_habits_have_a_test_each():
+    rows = [line for line in (ROOT / "docs" / "habits.md").read_text().splitlines() if "`tests/" in line]
+    assert len(rows) == 15
+
+
 def test_pages_are_what_the_methods_say_of_themselves():
     pages = runpy.run_path(str(ROOT / "docs" / "pages.py"))["pages"]()
     assert len(pages) > 20

@@ -17,18 +17,18 @@ import motes as mo
 from test_documents import ROOT
 from tiers import NIGHT, but_one_in, each
 
-PAGES = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
-         if "```python" in path.read_text()]  # fmt: skip
+PAGES = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")),
+                           *sorted((ROOT / "docs" / "tutorials").glob("*.md")))
+         if re.search(r"^```(python|\{code-cell\})$", path.read_text(), re.M)]  # fmt: skip
 FEWER = (("n=2_574", "n=64"), ("n=2_000", "n=64"), ("steps=100", "steps=8"))
-BY_NIGHT = {"chains.md", "parameters.md", "studies.md", "CONTRIBUTING.md"}
+TUTORIALS = {path.name for path in PAGES if path.parent.name == "tutorials"}
+BY_NIGHT = {"chains.md", "parameters.md", "studies.md", "CONTRIBUTING.md", "coming-from.md", "cookbook.md"} | TUTORIALS
 """Pages that take long, of what other tests run, too."""
 SMALLER = {
     "README.md": (
-        *FEWER, ("runs=100", "runs=2"), ("n=500", "n=8"), ("draws=2_000", "draws=100"),
-        ("mo.MarginalizedParticleFilter(n=200)", "filter"),
-        ("mo.costs.calibrate().costs", "mo.costs.Costs.paper()"),
-        ("mo.costs.fit_step_time(filter, model, ys)", "mo.costs.StepTime.fitted(((100, 1e-4), (1_000, 2e-4)))"),
-        ('mo.plan(model, budget=1e-3, states=("px", "py"))', 'mo.planning.Plan(filter, 1e-3, mo.io.Table(("filter",), (("it",),)))'),
+        *FEWER, ("runs=100", "runs=2"), ("draws=1_000", "draws=100"), ("n=1_000", "n=64"),
+        ('mo.plan(model, budget=1e-3, states=("px", "py"))',
+         'mo.planning.Plan(mo.KalmanFilter(), 1e-3, mo.io.Table(("filter",), (("it",),)))'),
     ),
     "chains.md": (("draws=5_000", "draws=100"),),
     "parameters.md": (("draws=5_000", "draws=10"), ("steps=100", "steps=10")),
@@ -40,22 +40,28 @@ SMALLER = {
 
 def blocks(text):
     """Each piece of Python in a page, and what it must print (None: nothing is said of that)."""
-    fences = list(re.finditer(r"^```(\w*)\n(.*?)^```\n+", text, re.S | re.M))
+    fences = list(re.finditer(r"^```([\w{}-]*)\n(.*?)^```\n+", text, re.S | re.M))
     for place, fence in enumerate(fences):
         after = fences[place + 1] if place + 1 < len(fences) else None
-        if fence[1] == "python":
+        if fence[1] in ("python", "{code-cell}"):
             yield fence[2], after[2] if after and not after[1] and after.start() == fence.end() else None
+
+
+def smaller(page):
+    """Text of a page, by day with smaller numbers."""
+    text = page.read_text()
+    for long, short in () if NIGHT else SMALLER.get(page.name, ()):
+        assert long in text, long
+        text = text.replace(long, short)
+    return text
 
 
 @pytest.mark.parametrize("page", each({path.name: path for path in PAGES}, BY_NIGHT))
 def test_code_of_a_page_runs_in_order(page, tmp_path, monkeypatch):
     """All in one namespace; a piece that begins with the name of a file is that file, which is run if it is a program."""
     monkeypatch.chdir(tmp_path)
-    text, names = page.read_text(), {"__name__": page.stem}
-    for long, short in () if NIGHT else SMALLER.get(page.name, ()):
-        assert long in text, long
-        text = text.replace(long, short)
-    for code, printed in blocks(text):
+    names = {"__name__": page.stem}
+    for code, printed in blocks(smaller(page)):
         file = re.match(r"# (\w+\.py)\n", code)
         if file:
             Path(file[1]).write_text(code)
@@ -65,6 +71,14 @@ def test_code_of_a_page_runs_in_order(page, tmp_path, monkeypatch):
         with contextlib.redirect_stdout(io.StringIO()) as out:
             exec(compile(code, f"{page.name}, {code.splitlines()[0]}", "exec"), names)  # noqa: S102 (what our own documents show)
         assert printed is None or out.getvalue().strip() == printed.strip()
+
+
+def test_pieces_of_the_readme_run_each_alone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    codes = [code for code, _ in blocks(smaller(ROOT / "README.md"))]
+    assert len(codes) > 3
+    for place, code in enumerate(codes):
+        exec(compile(code, f"README.md, piece {place}", "exec"), {"__name__": "readme"})  # noqa: S102 (what our own documents show)
 
 
 def test_pieces_of_a_page_are_found():

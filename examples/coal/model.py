@@ -18,12 +18,6 @@ def log_prior(most=MOST, mean=MEAN):
     return shares - np.log(np.exp(shares).sum())
 
 
-def disasters(path):
-    """Counts of the years 1851 to 1962 from a file of dates."""
-    dates = np.loadtxt(path, delimiter=",", skiprows=1, usecols=1)
-    return np.bincount((np.floor(dates) - 1851).astype(int), minlength=112)
-
-
 def spans(model):
     """Number of the level of each year, `(n,)`."""
     return jnp.append(0, jnp.cumsum(model))

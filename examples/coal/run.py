@@ -1,8 +1,8 @@
 """How many times did the rate of coal-mining disasters change, and when?
 
-    python examples/coal/run.py --data FOLDER [--draws 4000]
+    python examples/coal/run.py [--draws 4000]
 
-FOLDER holds timeseries/coal.csv (dates of British disasters, Jarrett 1979). Prints the posterior of the number of changes beside the exact
+Yearly counts of British disasters (Jarrett 1979, `mo.data.coal`). Prints the posterior of the number of changes beside the exact
 one; the picture goes to out/coal.png. It takes about a minute.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 import numpy as np
 from exact import exact
-from model import disasters, log_prior, problem, spans
+from model import log_prior, problem, spans
 
 import motes as mo
 from motes.plotting.figures import new_figure
@@ -21,10 +21,9 @@ from motes.plotting.figures import new_figure
 def main():
     """Draw the posterior and set it beside the exact one."""
     parser = argparse.ArgumentParser(description="Change points of coal-mining disasters.")
-    parser.add_argument("--data", type=Path, required=True, help="folder with timeseries/coal.csv")
     parser.add_argument("--draws", type=int, default=4000, help="draws of each of eight chains (4000)")
     given = parser.parse_args()
-    counts = disasters(given.data / "timeseries" / "coal.csv")
+    counts = mo.data.coal().values[:, 0].astype(int)
     log_density, kernel, start = problem(counts)
     chains = mo.sample(0, mo.mcmc.Repeat(kernel, 5), log_density, start, draws=given.draws, chains=8, burn_in=given.draws // 4)
     number, first = exact(counts, log_prior())

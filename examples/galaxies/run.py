@@ -1,8 +1,8 @@
 """How many groups of galaxies are there? A mixture of Gaussians with an unknown number of components.
 
-    python examples/galaxies/run.py --data FOLDER [--draws 3000]
+    python examples/galaxies/run.py [--draws 3000]
 
-FOLDER holds timeseries/galaxies.csv: 82 velocities (Roeder 1990), whose 78th value is put right (26 960 km/s). A component has an amount a
+82 velocities (Roeder 1990, `mo.data.galaxies`), whose 78th value is put right (26 960 km/s). A component has an amount a
 with the law Gamma(1), a mean N(20, 10^2) and a log standard deviation N(0, 0.7^2), in 1000 km/s; weights are amounts over their sum; the
 number of components is uniform on 1 to 10. The picture goes to out/galaxies.png. It takes about two minutes.
 """
@@ -20,13 +20,6 @@ from motes.plotting.figures import new_figure
 MOST = 10
 LAW = mo.Gaussian(jnp.array([0.0, 20.0, 0.0]), jnp.diag(jnp.array([1.5, 100.0, 0.5])))
 """Proposals of log amount, mean and log standard deviation."""
-
-
-def velocities(path):
-    """Velocities in 1000 km/s."""
-    values = np.loadtxt(path, delimiter=",", skiprows=1, usecols=1) / 1000
-    values[np.isclose(values, 26.69)] = 26.96
-    return values
 
 
 def density_at(x, k, points):
@@ -73,10 +66,9 @@ def problem(data):
 def main():
     """Draw the posterior of the number of components."""
     parser = argparse.ArgumentParser(description="Number of components of a mixture.")
-    parser.add_argument("--data", type=Path, required=True, help="folder with timeseries/galaxies.csv")
     parser.add_argument("--draws", type=int, default=3000, help="draws of each of eight chains (3000)")
     given = parser.parse_args()
-    data = velocities(given.data / "timeseries" / "galaxies.csv")
+    data = mo.data.galaxies().values[:, 0] / 1000
     log_density, kernel, start = problem(data)
     chains = mo.sample(0, mo.mcmc.Repeat(kernel, 20), log_density, start, draws=given.draws, chains=8)
     counts = np.asarray(chains.positions.model)

@@ -1,15 +1,14 @@
 """When did the flow of the Nile change, how often, and by how much?
 
-    python examples/nile/run.py --data FOLDER [--draws 3000]
+    python examples/nile/run.py [--draws 3000]
 
-FOLDER holds timeseries/nile.csv: yearly flow at Aswan, 1871 to 1970, in 1e8 m^3. Levels between changes have the law N(1000, 200^2), the
+Yearly flow at Aswan, 1871 to 1970, in 1e8 m^3 (`mo.data.nile`). Levels between changes have the law N(1000, 200^2), the
 log of the noise's standard deviation in 100 units N(0, 1); changes come at any new year, their number is Poisson(1) cut at 6. It takes
 about a minute.
 """
 
 import argparse
 from math import lgamma
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -46,10 +45,9 @@ def problem(flow):
 def main():
     """Draw the posterior of changes and levels."""
     parser = argparse.ArgumentParser(description="Changes of the flow of the Nile.")
-    parser.add_argument("--data", type=Path, required=True, help="folder with timeseries/nile.csv")
     parser.add_argument("--draws", type=int, default=3000, help="draws of each of eight chains (3000)")
     given = parser.parse_args()
-    flow = np.loadtxt(given.data / "timeseries" / "nile.csv", delimiter=",", skiprows=1, usecols=2)
+    flow = mo.data.nile().values[:, 0]
     log_density, kernel, start = problem(flow)
     chains = mo.sample(0, mo.mcmc.Repeat(kernel, 10), log_density, start, draws=given.draws, chains=8)
     model = np.asarray(chains.positions["changes"].model)

@@ -1,9 +1,9 @@
 """Stochastic volatility of the pound: persistence, level and spread, three ways.
 
-    python examples/pound/run.py --data FOLDER [--returns 945] [--draws 2000]
+    python examples/pound/run.py [--returns 945] [--draws 2000]
 
-FOLDER holds timeseries/fx_daily_1980_1987.csv; the 945 returns from 1 October 1981 to 28 June 1985 (Harvey, Ruiz, Shephard 1994), in
-percent.
+The 945 returns from 1 October 1981 to 28 June 1985 (Harvey, Ruiz, Shephard 1994; `mo.data.pound`),
+in percent.
 
     h_t = mu + phi (h_{t-1} - mu) + sigma eta_t,  y_t = exp(h_t / 2) eps_t
 
@@ -16,7 +16,6 @@ coordinates in turn.
 
 import argparse
 import time
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,12 +39,10 @@ def model(theta):
     )
 
 
-def returns(path):
+def returns():
     """Returns of the pound in percent, mean removed, `(945, 1)`."""
-    rows = [line.split(",") for line in path.read_text().splitlines()[1:]]
-    prices = np.array([float(row[5]) for row in rows if 811001 <= int(row[1]) <= 850628])
-    change = 100 * np.diff(np.log(prices))
-    return (change - change.mean())[:, None]
+    change = 100 * np.diff(np.log(mo.data.pound().values), axis=0)
+    return change - change.mean()
 
 
 def shaped(position):
@@ -79,13 +76,12 @@ def ways(ys, particles, nodes):
 def main():
     """Draw the posterior in three ways."""
     parser = argparse.ArgumentParser(description="Stochastic volatility of the pound.")
-    parser.add_argument("--data", type=Path, required=True, help="folder with timeseries/fx_daily_1980_1987.csv")
     parser.add_argument("--returns", type=int, default=945, help="how many of the returns (945)")
     parser.add_argument("--draws", type=int, default=2000, help="draws of each of four chains (2000)")
     parser.add_argument("--particles", type=int, default=200, help="of PMMH (200)")
     parser.add_argument("--nodes", type=int, default=150, help="of the grid (150)")
     given = parser.parse_args()
-    ys = returns(given.data / "timeseries" / "fx_daily_1980_1987.csv")[: given.returns]
+    ys = returns()[: given.returns]
     found, rows = {}, []
     for name, (kernel, log_density, start) in ways(ys, given.particles, given.nodes).items():
         began = time.perf_counter()

@@ -9,9 +9,8 @@ import numpy as np
 import motes as mo
 from motes.applications.aircraft import scenario
 from motes.applications.aircraft.model import Flight, Radar, constant_velocity, jumping
-from motes.io.tables import read_table
 
-FLIGHT, RIVER = "aircraft/adsb/belevingsvlucht.csv", "timeseries/nile.csv"
+FLIGHT = "aircraft/adsb/belevingsvlucht.csv"
 PLOTS = 1660
 
 
@@ -46,9 +45,9 @@ def aircraft(data: Path, seeds: int) -> mo.io.Table:
     return mo.io.Table(columns, tuple(rows))
 
 
-def river(data: Path, seeds: int) -> mo.io.Table:
+def river(seeds: int) -> mo.io.Table:
     """Log likelihood of the Nile's flow with rare breaks of its level, against a grid."""
-    flow = read_table(data / RIVER, ["value"])["value"][:, None]
+    flow = mo.data.nile().values
     start, sensor = mo.Gaussian([1000.0], [[200.0**2]]), mo.LinearGaussian([[1.0]], [[15099.0]])
     steady, broken = 100.0, 100.0 + 300.0**2
     models = tuple(mo.StateSpaceModel(start, mo.LinearGaussian([[1.0]], [[q]]), sensor, ("level",)) for q in (steady, broken))

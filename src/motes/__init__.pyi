@@ -1,5 +1,6 @@
 from . import bounds as bounds
 from . import costs as costs
+from . import data as data
 from . import detect as detect
 from . import diagnostics as diagnostics
 from . import filters as filters

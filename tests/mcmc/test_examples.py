@@ -9,7 +9,6 @@ import pytest
 from scipy.special import gammaln
 
 import motes as mo
-from data import recorded as recording
 from examples_of import EXAMPLES, importable
 
 
@@ -41,7 +40,7 @@ def test_dynamic_program_equals_enumeration(coal):
 @pytest.mark.parametrize("recorded", [False, pytest.param(True, marks=[pytest.mark.optimized, pytest.mark.night])])
 def test_changes_of_yearly_counts_equal_the_exact_ones(coal, recorded):
     if recorded:
-        counts = coal["disasters"](recording("timeseries/coal.csv"))
+        counts = mo.data.coal().values[:, 0]
     else:
         counts = np.random.default_rng(2).poisson([4.0] * 14 + [1.0] * 16 + [2.5] * 10)
     log_density, kernel, start = coal["problem"](counts)

@@ -10,9 +10,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 import motes as mo
-from data import recorded
 from motes.core.record import replace
-from motes.io.tables import read_table
 from motes.laws.mode_mixture import ModeMixture
 from motes.resampling import reduction
 from tiers import each
@@ -275,7 +273,7 @@ def nile():
 @pytest.mark.night
 def test_nile_with_rare_breaks_has_the_likelihood_of_a_grid():
     """2000 particles are within 0.6 of the point-mass filter (within 0.001 in float64), and 100 have a deviation of 0.007."""
-    flow = read_table(recorded("timeseries/nile.csv"))["value"][:, None]
+    flow = mo.data.nile().values
     breaks = mo.Mixture.of([0.98, 0.02], [[0.0, 0.0]], [[[100.0, 100.0 + 300.0**2]]])
     model = nile()
     smooth = mo.StateSpaceModel(model.models[0].initial, mo.AdditiveNoise(lambda x, u, t: x, breaks), model.models[0].sensor)

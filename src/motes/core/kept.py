@@ -10,6 +10,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import platformdirs
+
 SWITCH = "MOTES_CACHE"
 """Environment variable that, set to "off" (or 0, no, false), has nothing kept."""
 
@@ -20,12 +22,12 @@ SHORTEST = 0.2
 """Programs that JAX compiled in less than this many seconds are not kept."""
 
 A_DAY = 86_400
+POSIX = os.name == "posix"
 
 
 def place(name: str) -> Path:
     """Return where compiled code of one kind is kept."""
-    home = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(home) if os.path.isabs(home) else Path.home() / ".cache") / "motes" / name
+    return platformdirs.user_cache_path("motes", appauthor=False) / name
 
 
 def private_folder(name: str) -> Path | None:
@@ -40,10 +42,14 @@ def private_folder(name: str) -> Path | None:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.lstat()
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        if not stat.S_ISDIR(found.st_mode):
             return None
-        if stat.S_IMODE(found.st_mode) != 0o700:
-            folder.chmod(0o700)
+        # Windows has neither owners by number nor such modes: what lies in a user's profile is that user's
+        if POSIX:
+            if found.st_uid != os.getuid():
+                return None
+            if stat.S_IMODE(found.st_mode) != 0o700:
+                folder.chmod(0o700)
         return folder if os.access(folder, os.W_OK) else None
     except (OSError, RuntimeError):
         return None

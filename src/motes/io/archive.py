@@ -24,6 +24,7 @@ from motes.io.members import LARGEST, PACKED, Form, Members, opened, too_large, 
 from motes.io.unfinished import unfinished
 
 _FORMAT = 1
+POSIX = os.name == "posix"
 _HEADER = "header.json"
 _LARGEST_HEADER = 1 << 20
 _NUMBERS = "biufc"
@@ -81,7 +82,9 @@ def durable_folder(path: Path) -> None:
 
 
 def _force(folder: Path) -> None:
-    """Force the names in a folder to disk."""
+    """Force the names in a folder to disk; Windows has no such thing for folders."""
+    if not POSIX:
+        return
     opened = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(opened)

@@ -6,7 +6,6 @@ a loss of power takes a run that was reported done. What the ledger does not nam
 own, since a flipped bit in a row is still a well-formed row.
 """
 
-import fcntl
 import hashlib
 import json
 import os
@@ -20,13 +19,14 @@ from typing import Any, NamedTuple, Self
 from urllib.parse import quote
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from motes.core.checks import FileError, refuse
 from motes.io import archive
 from motes.io.files import foreign, label
 from motes.studies.ledger import SCHEMA, recognize, sound
 
-LEDGER, LOCK, KIND = "ledger.sqlite", "lock", "runs of a study"
+LEDGER, LOCK, OWNER, KIND = "ledger.sqlite", "lock", "owner", "runs of a study"
 REPAIR = "study(..., repair=True) computes these runs again."
 _OURS = re.compile(r"\.?part\d+-\d+-\d+\.npz(\.[0-9a-f]+)?")
 
@@ -114,7 +114,7 @@ class Store:
 
     def _unlock(self) -> None:
         if self._lock is not None:
-            os.close(self._lock)
+            self._lock.release()
             self._lock = None
 
     def _check(self) -> None:
@@ -264,17 +264,15 @@ class Store:
         return self.folder / f"part{number:03d}-{start:07d}-{stop:07d}.npz"
 
 
-def _locked(folder: Path) -> int:
+def _locked(folder: Path) -> FileLock:
     """Take the lock of a folder, which the system frees when the process ends, however it ends."""
-    lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    lock = FileLock(folder / LOCK)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        owner = os.pread(lock, 200, 0).decode(errors="replace")
-        os.close(lock)
+        lock.acquire(blocking=False)
+    except Timeout:
+        owner = (folder / OWNER).read_text(errors="replace")[:200] if (folder / OWNER).is_file() else "another process"
         refuse(label(folder), "a store that no other study writes to", f"one in use by {owner}", "Wait for it, or end it.", FileError)
-    os.ftruncate(lock, 0)
-    os.pwrite(lock, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
+    (folder / OWNER).write_text(f"process {os.getpid()} on {socket.gethostname()}")
     return lock
 
 

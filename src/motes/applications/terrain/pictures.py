@@ -43,7 +43,8 @@ def map_figure(terrain: TerrainMap, tracks: Tracks, title: str = "") -> Any:
     # the figure takes the shape of the map, within reason, so that little of it stays empty
     figure = new_figure(8.2, min(max(6.6 * (north - south) / (east - west), 3.0), 11.0) + 1.1)
     axes = figure.add_subplot()
-    _ground(figure, axes, terrain)
+    tint = ground(axes, terrain)
+    figure.colorbar(tint, ax=axes, label="height, m", shrink=0.7).ax.set_ylim(tint.get_array().min(), tint.get_array().max())
     if tracks.true is not None:
         _draw_track(axes, tracks.true, color=TRUE, linewidth=4.0, label="true")
     _draw_track(axes, tracks.inertial, color=INERTIAL, linewidth=2.0, linestyle="--", label="inertial")
@@ -67,7 +68,8 @@ def _draw_track(axes: Any, track: tuple[np.ndarray, np.ndarray], **look: Any) ->
     axes.plot(east, north, zorder=3, solid_capstyle="butt", **look)
 
 
-def _ground(figure: Any, axes: Any, terrain: TerrainMap) -> None:
+def ground(axes: Any, terrain: TerrainMap) -> Any:
+    """Draw the hillshaded map on axes in km east and north, and return the picture of its heights."""
     colors = need("matplotlib.colors", "results")
     heights = np.asarray(terrain.heights, np.float64)
     void = np.isnan(heights)
@@ -81,9 +83,8 @@ def _ground(figure: Any, axes: Any, terrain: TerrainMap) -> None:
     extent = (-half_column, east + half_column, -half_row, north + half_row)
     axes.imshow(shade, cmap="gray", vmin=0, vmax=1, origin="lower", extent=extent)
     # the blue end of the colors lies below the lowest land
-    tint = axes.imshow(np.where(void, np.nan, heights), cmap="gist_earth", vmin=lowest - 0.35 * (highest - lowest), vmax=highest,
+    return axes.imshow(np.where(void, np.nan, heights), cmap="gist_earth", vmin=lowest - 0.35 * (highest - lowest), vmax=highest,
                        origin="lower", extent=extent, alpha=0.45)
-    figure.colorbar(tint, ax=axes, label="height, m", shrink=0.7).ax.set_ylim(lowest, highest)
 
 
 def _reach(terrain: TerrainMap, tracks: list[Any], side: int) -> tuple[float, float]:
