@@ -1,7 +1,7 @@
 """`motes run APPLICATION`: run filters on an application or a model of the user's own, its measurements made up or from files.
 
 Writes to the folder `--out`: for each filter its history as NetCDF and as NPZ, and, where a smoother is named, a table of what that found;
-`summary.json`; the tables and pictures of the application.
+`summary.json`; the tables and pictures of the application. With `--live` measurements are taken as they come: see `live.py`.
 """
 
 from collections.abc import Sequence
@@ -29,6 +29,11 @@ def main(words: Sequence[str]) -> None:
         MotesError: an option, a file or the user's function cannot be used.
     """
     wish = asked(Run, words, USAGE)
+    if wish.settings.live.on or wish.settings.live.source:
+        from motes.cli import live
+
+        live.carried_out(wish)
+        return
     if processes.started("run", words, wish.settings):
         return
     with processes.at_work(wish.settings):

@@ -45,6 +45,11 @@ class Past:
             before, u, _ = self.steps[-1]
             self.steps[-1] = (before, u, y)
 
+    def forget(self, steps: int) -> None:
+        """Take the last steps off."""
+        for _ in range(steps):
+            self.steps.pop()
+
     def place(self, t: Any) -> int:
         """Return the place of a step among those kept.
 

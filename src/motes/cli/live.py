@@ -1,0 +1,170 @@
+"""`motes run X --live`: a filter on measurements as they come, until their source ends or the command is asked to.
+
+Results go to the sinks, what happens to the log on the error stream; the run is kept in the folder `--out` and goes on from there.
+"""
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from motes.cli import interruption
+from motes.cli.asked import Asked
+from motes.cli.options import check_seed, refuse, seconds, shown
+
+if TYPE_CHECKING:
+    from motes.applications.interface import Job
+    from motes.live.loop import Run
+    from motes.live.message import Form
+
+ENDING = ".live.npz"
+"""Of the file that keeps a run."""
+
+
+def carried_out(wish: Asked) -> None:
+    """Run a filter on what comes.
+
+    Raises:
+        MotesError: the application cannot be run so, a filter does not fit, or a source or a sink cannot be opened.
+        SystemExit: never; asked to end by a signal, the process is ended.
+    """
+    check_seed(wish.settings.seed)
+    log()
+    run, path = prepared(wish)
+    with interruption.saving(interrupts=True):
+        run.restore()
+        run.go(interruption.is_asked)
+        from motes.live.counts import LOG
+
+        step = None if run.checkpoint is None else run.checkpoint.step
+        LOG.info("%s", run.counts.told())
+        if interruption.is_asked():
+            if step is not None:
+                interruption.keeps(f"{path} (step {step})")
+            interruption.end()
+    if run.source.is_over:
+        path.unlink(missing_ok=True)
+    elif step is not None:
+        LOG.info("kept in %s (step %d): the same command goes on from there.", path, step)
+
+
+def log() -> None:
+    """Have what happens to a run written on the error stream, a line each."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    logger = logging.getLogger("motes")
+    logger.handlers[:] = [handler]
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+
+
+def prepared(wish: Asked) -> "tuple[Run, Path]":
+    """Return a run that is ready to go, and the file that keeps it.
+
+    Raises:
+        MotesError: see `carried_out`.
+    """
+    from motes.live.checkpoint import Checkpoint
+    from motes.live.counts import LOG, Counts
+    from motes.live.loop import Run, Work
+    from motes.live.places import sinks_at, source_at
+    from motes.live.replay import Replay
+    from motes.models.state_space import at_step
+
+    asked = wish.settings.live
+    _check(asked)
+    budget = seconds(asked.budget) if asked.budget else None
+    job = wish.job()
+    name, filter = _one_filter(wish, job)
+    form = form_of(job, getattr(wish.settings, "data", None), asked)
+    counts = Counts()
+    u = at_step(job.inputs, 0)
+    filter.prepare(job.model, u) if job.inputs is not None or not form.inputs else None
+    path = Path(wish.settings.out) / f"{name}{ENDING}"
+    if asked.source:
+        source: Any = source_at(asked.source, form, counts)
+        LOG.info("waits for messages from %s, such as %s", source.name, form.example())
+    elif job.ys is None:
+        refuse("live source", "where measurements come from", "none", "Give --source udp://127.0.0.1:5005, --source - or a file.")
+    else:
+        source = Replay(wish.application.name, job.ys, job.inputs, job.times, asked.speed)
+    try:
+        sinks = sinks_at(asked.sinks)
+    except Exception:
+        source.close()
+        raise
+    checkpoint = Checkpoint(path, _identity(wish, job, name), u)
+    return Run(Work(wish.settings.seed, filter, job.model, form), source, asked, counts, sinks=sinks, checkpoint=checkpoint,
+               budget=budget), path  # fmt: skip
+
+
+def _check(asked: Any) -> None:
+    """Refuse numbers that cannot be."""
+    from motes.core import checks
+
+    checks.natural("live lag", asked.lag)
+    for name in ("jump", "checkpoint"):
+        checks.above_zero(f"live {name}", getattr(asked, name))
+    for name in ("speed", "wait", "patience"):
+        if not 0 <= getattr(asked, name) < float("inf"):
+            refuse(f"live {name}", "a number of at least 0", getattr(asked, name))
+
+
+def _one_filter(wish: Asked, job: "Job") -> "tuple[str, Any]":
+    from motes.applications.interface import Job
+
+    if callable(job.ys) or not job.goes_on or type(job).pieces is not Job.pieces or type(job).piece is not Job.piece:
+        refuse("live", "an application whose measurements are taken one by one", wish.application.name)
+    filters = wish.filters(job, "filter", "filters")
+    if len(filters) > 1:
+        refuse("live filter", "one filter", ", ".join(filters), "Give --filter NAME, or a table [filter].")
+    name, filter = next(iter(filters.items()))
+    return name, job.worn(filter)
+
+
+def form_of(job: "Job", data: Any, asked: Any) -> "Form":
+    """Return what messages of a job look like.
+
+    Args:
+        job: the job.
+        data: settings of the data of a model of the user's own; of an application anything else.
+        asked: settings of the live run.
+    """
+    import numpy as np
+
+    from motes.cli.own import Data
+    from motes.live.message import Form
+    from motes.models.state_space import at_step
+
+    own = data if isinstance(data, Data) else Data()
+    columns, time = asked.columns or own.columns, asked.time or own.time
+    sizes = {name: size for mode in job.model.each_mode() for name, size in mode.sensor.sensors}
+    given: dict[str, Any] = {"columns": columns, "time": time, "number": asked.number, "fields": asked.fields}
+    y = None if job.ys is None else at_step(job.ys, 0)
+    if sizes and (not columns or sizes.keys() >= set(columns)):
+        names = columns or tuple(sizes)
+        y = y if isinstance(y, dict) else {name: np.zeros(sizes[name]) for name in names}
+        given |= {"columns": names, "by_name": True}
+    elif isinstance(y, dict) and columns and set(columns) != set(y):
+        refuse("live columns", f"the names {', '.join(y)}", shown(", ".join(columns)))
+    if job.inputs is not None:
+        return Form(y, at_step(job.inputs, 0), **given)
+    return Form(y, None, inputs=own.inputs, timed=bool(time), **given)
+
+
+def _identity(wish: Asked, job: "Job", name: str) -> str:
+    """Return what tells a run from others: what it reads and by which rules, and the model where functions can be compared."""
+    import jax
+
+    from motes.core.checks import MotesError
+    from motes.live.checkpoint import identity
+    from motes.models.canonical import canonical, one_of
+    from motes.tracing.fingerprint import fingerprint
+
+    asked = wish.settings.live
+    try:
+        model = fingerprint("live", canonical(job.model, *jax.tree.map(one_of, (job.inputs, job.ys))))
+    except MotesError:
+        model = ""
+    rules = (asked.columns, asked.time, asked.number, asked.fields, asked.late, asked.lag, asked.wait, asked.duplicate, asked.clock_jump,
+             asked.jump)  # fmt: skip
+    return identity(wish.application.name, name, wish.settings.seed, asked.source, rules, model)

@@ -1,0 +1,74 @@
+"""What a source of messages is; those of text share how lines become messages."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from motes.live.counts import Counts
+from motes.live.message import Form, Message, Unreadable
+
+
+class Source(ABC):
+    """Where messages come from. `read` is called by one thread, again and again.
+
+    Attributes:
+        name: as the user gave it.
+    """
+
+    waits: ClassVar[bool] = False
+    """Whether what is not read at once waits where it comes from; otherwise it is read by a thread of its own, so that nothing is lost."""
+    is_over: ClassVar[bool] = False
+    """Whether nothing can be added to what has ended."""
+    name: str
+
+    @abstractmethod
+    def read(self, timeout: float) -> Sequence[Message] | None:
+        """Return what came, waiting so many seconds at most for something; None where nothing will come any more."""
+
+    @abstractmethod
+    def message(self, content: Any) -> Message:
+        """Make a message once more of its content, as a checkpoint has it."""
+
+    def go_on(self, position: int) -> None:  # noqa: B027 (most cannot)
+        """Begin where a message said that it goes on after it."""
+
+    def remember(self, last: Any) -> None:  # noqa: B027 (most need not)
+        """Go on as after a message with this content, which a checkpoint kept."""
+
+    def close(self) -> None:  # noqa: B027 (some have nothing to close)
+        """Give back what is open."""
+
+
+class TextSource(Source):
+    """A source of lines or datagrams; subclasses write `texts`."""
+
+    def __init__(self, name: str, form: Form, counts: Counts):
+        """Take name, form of the messages, and what counts those that are none."""
+        self.name, self.form, self.counts = name, form, counts
+
+    @abstractmethod
+    def texts(self, timeout: float) -> Sequence[tuple[bytes, int | None, float | None]] | None:
+        """Return what came: text, where the source goes on after it, and when it arrived; see `read`."""
+
+    def read(self, timeout: float) -> Sequence[Message] | None:
+        """Read what came; what is no message is counted."""
+        found = self.texts(timeout)
+        return None if found is None else [one for text in found if (one := self._read(*text)) is not None]
+
+    def _read(self, text: bytes, position: int | None, arrived: float | None) -> Message | None:
+        if not text.strip():
+            return None
+        try:
+            return self.form.read(text, position, arrived)
+        except Unreadable as reason:
+            kind = "early" if "has not come yet" in str(reason) else "unreadable"
+            self.counts.add(kind, f"{self.name}: {reason}.")
+            return None
+
+    def message(self, content: Any) -> Message:
+        """Make a message of an object."""
+        return self.form.message(content)
+
+    def remember(self, last: Any) -> None:
+        """Take back the inputs that held."""
+        self.form.held = {name: last[name] for name in self.form.needed if name in last}
