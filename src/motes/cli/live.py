@@ -4,6 +4,8 @@ Results go to the sinks, what happens to the log on the error stream; the run is
 """
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,33 +30,40 @@ def carried_out(wish: Asked) -> None:
         SystemExit: never; asked to end by a signal, the process is ended.
     """
     check_seed(wish.settings.seed)
-    log()
-    run, path = prepared(wish)
-    with interruption.saving(interrupts=True):
-        run.restore()
-        run.go(interruption.is_asked)
-        from motes.live.counts import LOG
-
-        step = None if run.checkpoint is None else run.checkpoint.step
-        LOG.info("%s", run.counts.told())
+    with logged() as log, interruption.saving(interrupts=True):
+        run, path = prepared(wish)
+        try:
+            run.restore()
+            run.go(interruption.is_asked)
+        finally:
+            log.info("%s", run.counts.told())
+        step = run.kept_at
         if interruption.is_asked():
             if step is not None:
                 interruption.keeps(f"{path} (step {step})")
             interruption.end()
-    if run.source.is_over:
-        path.unlink(missing_ok=True)
-    elif step is not None:
-        LOG.info("kept in %s (step %d): the same command goes on from there.", path, step)
+        if run.source.is_over:
+            path.unlink(missing_ok=True)
+        elif step is not None:
+            log.info("kept in %s (step %d): the same command goes on from there.", path, step)
 
 
-def log() -> None:
-    """Have what happens to a run written on the error stream, a line each."""
+@contextmanager
+def logged() -> Iterator[logging.Logger]:
+    """Have what happens in a `with` block written on the error stream, a line each."""
+    from motes.live.counts import LOG
+
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    logger = logging.getLogger("motes")
-    logger.handlers[:] = [handler]
-    logger.setLevel(logging.INFO)
-    logger.propagate = False
+    level, LOG.propagate = LOG.level, False
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    try:
+        yield LOG
+    finally:
+        LOG.removeHandler(handler)
+        LOG.setLevel(level)
+        LOG.propagate = True
 
 
 def prepared(wish: Asked) -> "tuple[Run, Path]":
@@ -64,7 +73,7 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
         MotesError: see `carried_out`.
     """
     from motes.live.checkpoint import Checkpoint
-    from motes.live.counts import LOG, Counts
+    from motes.live.counts import LOG
     from motes.live.loop import Run, Work
     from motes.live.places import sinks_at, source_at
     from motes.live.replay import Replay
@@ -76,12 +85,11 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
     job = wish.job()
     name, filter = _one_filter(wish, job)
     form = form_of(job, getattr(wish.settings, "data", None), asked)
-    counts = Counts()
     u = at_step(job.inputs, 0)
     filter.prepare(job.model, u) if job.inputs is not None or not form.inputs else None
     path = Path(wish.settings.out) / f"{name}{ENDING}"
     if asked.source:
-        source: Any = source_at(asked.source, form, counts)
+        source: Any = source_at(asked.source, form)
         LOG.info("waits for messages from %s, such as %s", source.name, form.example())
     elif job.ys is None:
         refuse("live source", "where measurements come from", "none", "Give --source udp://127.0.0.1:5005, --source - or a file.")
@@ -93,8 +101,7 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
         source.close()
         raise
     checkpoint = Checkpoint(path, _identity(wish, job, name), u)
-    return Run(Work(wish.settings.seed, filter, job.model, form), source, asked, counts, sinks=sinks, checkpoint=checkpoint,
-               budget=budget), path  # fmt: skip
+    return Run(Work(wish.settings.seed, filter, job.model, form), source, asked, sinks=sinks, checkpoint=checkpoint, budget=budget), path
 
 
 def _check(asked: Any) -> None:
@@ -132,23 +139,20 @@ def form_of(job: "Job", data: Any, asked: Any) -> "Form":
     import numpy as np
 
     from motes.cli.own import Data
-    from motes.live.message import Form
+    from motes.live.message import Form, Names
     from motes.models.state_space import at_step
 
     own = data if isinstance(data, Data) else Data()
     columns, time = asked.columns or own.columns, asked.time or own.time
     sizes = {name: size for mode in job.model.each_mode() for name, size in mode.sensor.sensors}
-    given: dict[str, Any] = {"columns": columns, "time": time, "number": asked.number, "fields": asked.fields}
     y = None if job.ys is None else at_step(job.ys, 0)
     if sizes and (not columns or sizes.keys() >= set(columns)):
         names = columns or tuple(sizes)
-        y = y if isinstance(y, dict) else {name: np.zeros(sizes[name]) for name in names}
-        given |= {"columns": names, "by_name": True}
+        columns, y = names, y if isinstance(y, dict) else {name: np.zeros(sizes[name]) for name in names}
     elif isinstance(y, dict) and columns and set(columns) != set(y):
         refuse("live columns", f"the names {', '.join(y)}", shown(", ".join(columns)))
-    if job.inputs is not None:
-        return Form(y, at_step(job.inputs, 0), **given)
-    return Form(y, None, inputs=own.inputs, timed=bool(time), **given)
+    names = Names(columns, own.inputs, time, asked.number, asked.fields)
+    return Form(names, y, None if job.inputs is None else at_step(job.inputs, 0), timed=bool(time))
 
 
 def _identity(wish: Asked, job: "Job", name: str) -> str:

@@ -117,7 +117,8 @@ class Stream:
         """
         kept = len(self._past.steps)
         if steps not in range(min(kept, self._past.lag) + 1):
-            checks.refuse("back steps", f"at most {min(kept, self._past.lag)}, which are kept", steps, "Start the stream with a larger lag=.")
+            most = min(kept, self._past.lag)
+            checks.refuse("back steps", f"at most {most}, which are kept", steps, "Start the stream with a larger lag=.")
         if steps:
             first = self._past.steps[-steps]
             self._past.forget(steps)
@@ -238,7 +239,7 @@ class Stream:
 
     @property
     def held(self) -> Packed | None:
-        """What the last `update` left (a `Carry`, see `Packed.whole`), which never changes: other threads may look at it; None before that."""
+        """What the last `update` left, a packed `Carry` that never changes: other threads may look at it; None before the first."""
         return self._held
 
     @property

@@ -14,6 +14,7 @@ from motes.filters.resized import size_of, with_size
 from motes.filters.stream import Stream
 from motes.io.archive import read_tree
 from motes.io.files import label
+from motes.io.unfinished import remove_leftovers
 from motes.live.counts import LOG
 
 
@@ -60,6 +61,7 @@ class Checkpoint:
         Raises:
             FileError: it is damaged, or of another filter, model or run.
         """
+        remove_leftovers(self.path)
         if not self.path.exists():
             return None
         hint = f"Move it away, or set resume = false to begin anew: {label(self.path)}"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from motes.io.files import foreign, reject
-from motes.live.counts import LOG, Counts
+from motes.live.counts import LOG
 from motes.live.message import LONGEST, Form
 from motes.live.source import TextSource
 
@@ -23,9 +23,9 @@ class Lines(TextSource):
 
     waits = True
 
-    def __init__(self, name: str, form: Form, counts: Counts, file: int):
+    def __init__(self, name: str, form: Form, file: int):
         """Read from an open file, by its number."""
-        super().__init__(name, form, counts)
+        super().__init__(name, form)
         self._file, self._rest = file, b""
         self._plain = stat.S_ISREG(os.fstat(file).st_mode)
         self._at = os.lseek(file, 0, os.SEEK_CUR) if self._plain else 0
@@ -61,7 +61,7 @@ class Lines(TextSource):
             self._at, self._rest = os.lseek(self._file, position, os.SEEK_SET), b""
 
 
-def of_file(path: str, form: Form, counts: Counts) -> Lines:
+def of_file(path: str, form: Form) -> Lines:
     """Open a file of lines.
 
     Raises:
@@ -70,19 +70,19 @@ def of_file(path: str, form: Form, counts: Counts) -> Lines:
     with foreign(path, "a file of JSON lines that can be read"):
         if Path(path).is_dir():
             reject(path, "a file of JSON lines", "a folder")
-        return Lines(path, form, counts, os.open(path, os.O_RDONLY))
+        return Lines(path, form, os.open(path, os.O_RDONLY))
 
 
 class Serial(TextSource):
     """Lines of a serial line, which is opened again where it is broken."""
 
-    def __init__(self, name: str, form: Form, counts: Counts, path: str, baud: int):
+    def __init__(self, name: str, form: Form, path: str, baud: int):
         """Open a device.
 
         Raises:
             FileError: it cannot be opened, or has no such speed.
         """
-        super().__init__(name, form, counts)
+        super().__init__(name, form)
         self._path, self._baud, self._tries, self._next = path, baud, 0, 0.0
         with foreign(path, "a serial line that can be opened"):
             self._lines: Lines | None = self._opened()
@@ -96,11 +96,12 @@ class Serial(TextSource):
             reject(self._path, "a usual speed, such as ?baud=9600 or 115200", f"{self._baud}")
         file = os.open(self._path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
         if os.isatty(file):
-            tty.setraw(file)
+            # what has come already stays
+            tty.setraw(file, termios.TCSANOW)
             settings = termios.tcgetattr(file)
             settings[4] = settings[5] = speed
             termios.tcsetattr(file, termios.TCSANOW, settings)
-        return Lines(self.name, self.form, self.counts, file)
+        return Lines(self.name, self.form, file)
 
     def texts(self, timeout: float) -> Sequence[tuple[bytes, int | None, float | None]] | None:
         """Return lines; a broken line is opened again, later and later."""

@@ -19,7 +19,7 @@ from motes.filters.resized import size_of
 from motes.filters.stream import Stream
 from motes.live import pace
 from motes.live.checkpoint import Checkpoint
-from motes.live.counts import LOG, Counts
+from motes.live.counts import LOG
 from motes.live.message import Form, Message, Unreadable
 from motes.live.order import Order, Placed
 from motes.live.settings import Live
@@ -91,7 +91,7 @@ class Run:
     """
 
     def __init__(
-        self, work: Work, source: Source, settings: Live, counts: Counts, *, sinks: Sequence[Sink] = (), watchers: Sequence[Watcher] = (),
+        self, work: Work, source: Source, settings: Live, *, sinks: Sequence[Sink] = (), watchers: Sequence[Watcher] = (),
         checkpoint: Checkpoint | None = None, budget: float | None = None,
     ):  # fmt: skip
         """Take the parts.
@@ -100,14 +100,13 @@ class Run:
             work: what runs.
             source: where messages come from.
             settings: the rules.
-            counts: counts of the messages.
             sinks: where results go.
             watchers: are called after each step, by the thread of the filter: cheap, and never waiting.
             checkpoint: where the run is kept; None for nowhere.
             budget: seconds that a step may take; None for any.
         """
-        self._work, self.source, self.settings, self.counts = work, source, settings, counts
-        self.order = Order(settings, counts)
+        self._work, self.source, self.settings, self.counts = work, source, settings, source.counts
+        self.order = Order(settings, source.counts)
         self.sinks = [Guarded(sink) for sink in sinks]
         self.watchers, self.checkpoint = list(watchers), checkpoint
         self.stream: Stream | None = None
@@ -152,7 +151,7 @@ class Run:
         Raises:
             MotesError: the clock of the source was set and the run is to end then, or nothing came for as long as it has patience.
         """
-        inbox = _Inbox(self.source, self.counts)
+        inbox = _Inbox(self.source)
         saved = heard = time.monotonic()
         silence = SILENCE
         try:
@@ -186,6 +185,11 @@ class Run:
             self.save()
             for sink in self.sinks:
                 sink.close()
+
+    @property
+    def kept_at(self) -> int | None:
+        """Step of the last checkpoint; None where there is none."""
+        return None if self.checkpoint is None else self.checkpoint.step
 
     def save(self) -> bool:
         """Write a checkpoint of what was taken by now, and tell whether it is there."""
@@ -317,8 +321,8 @@ class Run:
 class _Inbox:
     """Messages on their way from a source to the filter; those that do not wait where they come from are read by a thread."""
 
-    def __init__(self, source: Source, counts: Counts):
-        self._source, self._counts = source, counts
+    def __init__(self, source: Source):
+        self._source = source
         self._queue: deque[Message] = deque()
         self._came, self._ended = threading.Event(), threading.Event()
         self._over = False
@@ -334,8 +338,8 @@ class _Inbox:
                 if found is None:
                     break
                 if len(self._queue) + len(found) > QUEUE:
-                    self._counts.add("overrun", f"{self._source.name}: messages come faster than the filter takes them; some are lost.",
-                                     len(found))  # fmt: skip
+                    self._source.counts.add("overrun", f"{self._source.name}: messages come faster than the filter takes them; some are "
+                                            "lost.", len(found))  # fmt: skip
                     continue
                 self._queue.extend(found)
                 if found:

@@ -45,6 +45,24 @@ class Unreadable(Exception):
     """A message that cannot be used; the text says why."""
 
 
+class Names(NamedTuple):
+    """What is called how in messages.
+
+    Attributes:
+        columns: what is measured; all of it is "y" if not given, or has the names of an example.
+        inputs: inputs of the model.
+        time: the time stamps, seconds; "time" if not given.
+        number: the number of a message; "" for none.
+        fields: the numbers of a line that is no JSON, in order; number, time, columns and inputs if not given.
+    """
+
+    columns: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    time: str = ""
+    number: str = ""
+    fields: tuple[str, ...] = ()
+
+
 class Form:
     """Makes messages of text: JSON objects, or numbers between commas.
 
@@ -57,34 +75,28 @@ class Form:
         inputs: names of the inputs.
     """
 
-    def __init__(
-        self, y: Any = None, u: Any = None, *, columns: tuple[str, ...] = (), inputs: tuple[str, ...] = (), by_name: bool = False,
-        time: str = "", number: str = "", fields: tuple[str, ...] = (), timed: bool = False,
-    ):  # fmt: skip
+    def __init__(self, names: Names, y: Any = None, u: Any = None, timed: bool = False):
         """Say what a message has.
 
         Args:
-            y: example of a measurement: an array, or a dictionary of arrays; None where the first one shows its form.
-            u: example of inputs: a tree of arrays; None where there are none, or `inputs` names them.
-            columns: names of what is measured; all of it is "y" if not given, or has the names of the example.
-            inputs: names of inputs, which the model gets in a dictionary, where there is no example.
-            by_name: whether the model gets the measurement as a dictionary by these names.
-            time: name of the time stamps.
-            number: name of the numbers.
-            fields: names of the numbers of a line that is no JSON.
+            names: what is called how.
+            y: example of a measurement: an array, or a dictionary of arrays, which the model then gets; None where the first one shows its
+                form.
+            u: example of inputs: a tree of arrays; None where there are none but those that are named, which the model gets in a
+                dictionary.
             timed: whether a model without an example of inputs gets the time since the step before as u["dt"].
         """
         self.timed = timed
-        self._y, self.by_name = y, by_name or isinstance(y, Mapping)
-        self.columns = columns or (tuple(y) if isinstance(y, Mapping) else (MEASURED,))
+        self._y, self.by_name = y, isinstance(y, Mapping)
+        self.columns = names.columns or (tuple(y) if isinstance(y, Mapping) else (MEASURED,))
         self._paths = jax.tree_util.tree_flatten_with_path(u)[0] if u is not None else []
         self._structure = None if u is None else jax.tree.structure(u)
-        names = tuple(".".join(path_names(path)) or INPUTS for path, _ in self._paths)
-        self.inputs = names if u is not None else inputs
+        paths = tuple(".".join(path_names(path)) or INPUTS for path, _ in self._paths)
+        self.inputs = paths if u is not None else names.inputs
         self._shapes = [np.shape(leaf) for _, leaf in self._paths]
-        self.time, self.number = time or TIME, number
+        self.time, self.number = names.time or TIME, names.number
         self.needed = tuple(name for name in self.inputs if name != STEP)
-        self.fields = fields or (*([number] if number else []), self.time, *self.columns, *self.needed)
+        self.fields = names.fields or (*([self.number] if self.number else []), self.time, *self.columns, *self.needed)
         self.held: dict[str, Any] = {}
 
     def read(self, text: bytes, position: int | None = None, arrived: float | None = None) -> Message:
@@ -95,8 +107,8 @@ class Form:
         """
         if len(text) > LONGEST:
             raise Unreadable(f"a message of {len(text)} bytes, expected at most {LONGEST}")
-        found = self.message(_parsed(text) or self._of_numbers(text))
-        return found._replace(position=position, arrived=arrived)
+        content = _parsed(text)
+        return self.message(self._of_numbers(text) if content is None else content)._replace(position=position, arrived=arrived)
 
     def message(self, content: dict[str, Any]) -> Message:
         """Make a message of an object.
@@ -122,9 +134,7 @@ class Form:
     def _measured(self, content: dict[str, Any]) -> Any:
         parts = {name: _values(name, content.get(name), missing=True) for name in self.columns}
         if self.by_name:
-            like = self._y or {}
-            return {name: np.full(np.shape(like[name]), np.nan) if content.get(name) is None and name in like else part
-                    for name, part in parts.items()}  # fmt: skip
+            return {name: np.full(np.shape(self._y[name]), np.nan) if content.get(name) is None else part for name, part in parts.items()}
         if len(parts) == 1 and self._y is not None and content.get(self.columns[0]) is None:
             return np.full(np.shape(self._y), np.nan)
         y = next(iter(parts.values())) if len(parts) == 1 else np.concatenate([np.atleast_1d(part) for part in parts.values()])

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from motes.core import settings
 from motes.core.checks import MotesError
 from motes.costs.measure import StepTime
 from motes.filters.interface import Filter
@@ -31,7 +32,6 @@ LATE = 0.1
 SMALLER = 2
 """By how much a number of particles becomes smaller."""
 
-Steps = Callable[[Stream, int], None]
 
 
 def timed(filter: Filter, begin: Callable[[Filter], Stream], y: Any, u: Any) -> float:
@@ -99,8 +99,12 @@ class Pace:
         self._warned = False
         if n is not None and n // SMALLER >= FEWEST:
             self._next = with_size(filter, n // SMALLER)
-            self._thread = threading.Thread(target=self._compiled, args=(self._next,), daemon=True)
+            self._thread = threading.Thread(target=self._work, args=(self._next, settings.in_force()), daemon=True)
             self._thread.start()
+
+    def _work(self, filter: Filter, in_force: settings.Settings) -> None:
+        with settings.enforced(in_force):
+            self._compiled(filter)
 
     def taken(self, seconds: float) -> Filter | None:
         """Note the time of a step; return a smaller filter where steps keep running late and it is ready."""

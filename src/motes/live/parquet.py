@@ -11,6 +11,7 @@ from typing import Any
 from motes.core.checks import need
 from motes.io.archive import whole_file
 from motes.io.files import foreign, reject
+from motes.io.unfinished import remove_leftovers
 from motes.live.sink import Sink
 
 ROWS = 10_000
@@ -36,8 +37,8 @@ class Parquet(Sink):
         other = next((one.name for one in self._folder.iterdir() if not one.name.startswith(".") and not PART.fullmatch(one.name)), None)
         if other is not None:
             reject(path, "an empty folder, or one that this wrote", f"{other} in it")
-        self._full, self._rows = 0, []
-        self._written = 0
+        self._full, self._written = 0, 0
+        self._rows: list[dict[str, Any]] = []
         self._go_on(None)
 
     def _part(self, number: int) -> Path:
@@ -66,11 +67,13 @@ class Parquet(Sink):
         self._go_on(kept if cut else None)
 
     def _go_on(self, rows: int | None) -> None:
+        """Begin behind so many rows, or behind all that are there."""
         parts = sorted(int(found[1]) for one in self._folder.iterdir() if (found := PART.fullmatch(one.name)))
         for number in parts if rows is not None else ():
             if number > rows // ROWS:
                 self._part(number).unlink()
         self._full, self._rows, self._written = (parts[-1] if parts else 0) if rows is None else rows // ROWS, [], 0
+        remove_leftovers(self._part(self._full))
         if self._part(self._full).exists():
             with foreign(self._part(self._full), "an undamaged Parquet file"):
                 table = self._parquet.ParquetFile(self._part(self._full), page_checksum_verification=True).read()

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from urllib.parse import parse_qs, urlsplit
 
 from motes.core.checks import refuse
-from motes.live.counts import Counts
 from motes.live.json_lines import JSONLines, to_file
 from motes.live.lines import Lines, Serial, of_file
 from motes.live.message import Form
@@ -19,29 +18,29 @@ SOURCES = '"-" for standard input, a file of JSON lines, udp://HOST:PORT, tcp://
 SINKS = '"-" for standard output, a file of JSON lines, a folder NAME.parquet, or tcp://HOST:PORT or ipc://PATH (ZeroMQ)'
 
 
-def source_at(address: str, form: Form, counts: Counts) -> Source:
+def source_at(address: str, form: Form) -> Source:
     """Open a source of text.
 
     Raises:
         MotesError: the address is none, is in use, or cannot be read.
     """
     if address == "-":
-        return Lines("standard input", form, counts, sys.stdin.fileno())
+        return Lines("standard input", form, sys.stdin.fileno())
     kind, host, port, parts = _parts("source", address, SOURCES)
     if kind == "udp":
         if host is None or port is None:
             refuse(f"source {address}", "udp://HOST:PORT, such as udp://127.0.0.1:5005", "no host or port")
-        return Datagrams(address, form, counts, host, port)
+        return Datagrams(address, form, host, port)
     if kind in ("tcp", "ipc"):
-        return Subscription(address, form, counts, address)
+        return Subscription(address, form, address)
     if kind == "serial":
         baud = parse_qs(parts.query).get("baud", ["9600"])[0]
         if not baud.isdecimal():
             refuse(f"source {address}", "a number after baud=", baud[:40])
-        return Serial(address, form, counts, parts.netloc + parts.path, int(baud))
+        return Serial(address, form, parts.netloc + parts.path, int(baud))
     if kind:
         refuse(f"source {address}", SOURCES, f"{kind}://")
-    return of_file(address, form, counts)
+    return of_file(address, form)
 
 
 def sink_at(address: str) -> Sink:

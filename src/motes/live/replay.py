@@ -30,7 +30,7 @@ class Replay(Source):
             times: seconds, `(t,)`; None where steps are only numbered, and nothing sets the pace.
             speed: how many times as fast; 0 for as fast as they are taken.
         """
-        self.name = name
+        super().__init__(name)
         self._rows = jax.tree.map(np.asarray, (ys, inputs))
         self._steps = steps_of(ys)
         self._times = None if times is None else np.asarray(times, np.float64)

@@ -13,13 +13,17 @@ class Source(ABC):
 
     Attributes:
         name: as the user gave it.
+        counts: what came of its messages.
     """
 
     waits: ClassVar[bool] = False
     """Whether what is not read at once waits where it comes from; otherwise it is read by a thread of its own, so that nothing is lost."""
     is_over: ClassVar[bool] = False
     """Whether nothing can be added to what has ended."""
-    name: str
+
+    def __init__(self, name: str):
+        """Take the name, and count from nothing."""
+        self.name, self.counts = name, Counts()
 
     @abstractmethod
     def read(self, timeout: float) -> Sequence[Message] | None:
@@ -42,9 +46,10 @@ class Source(ABC):
 class TextSource(Source):
     """A source of lines or datagrams; subclasses write `texts`."""
 
-    def __init__(self, name: str, form: Form, counts: Counts):
-        """Take name, form of the messages, and what counts those that are none."""
-        self.name, self.form, self.counts = name, form, counts
+    def __init__(self, name: str, form: Form):
+        """Take name and form of the messages."""
+        super().__init__(name)
+        self.form = form
 
     @abstractmethod
     def texts(self, timeout: float) -> Sequence[tuple[bytes, int | None, float | None]] | None:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 
 from motes.core.checks import refuse
-from motes.live.counts import Counts
 from motes.live.message import LONGEST, Form
 from motes.live.source import TextSource
 
@@ -20,13 +19,13 @@ TOGETHER = 1000
 class Datagrams(TextSource):
     """Datagrams at an address and port of this machine."""
 
-    def __init__(self, name: str, form: Form, counts: Counts, host: str, port: int):
+    def __init__(self, name: str, form: Form, host: str, port: int):
         """Open the port.
 
         Raises:
             MotesError: it is in use, or the address is none of this machine.
         """
-        super().__init__(name, form, counts)
+        super().__init__(name, form)
         try:
             family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind, protocol)

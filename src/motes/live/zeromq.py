@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from motes.core.checks import need, refuse
-from motes.live.counts import Counts
 from motes.live.message import LONGEST, Form
 from motes.live.sink import Sink, line_of
 from motes.live.source import TextSource
@@ -18,14 +17,14 @@ WAITING = 100_000
 class Subscription(TextSource):
     """What a socket elsewhere publishes; ZeroMQ connects again by itself. The last part of a message counts, so topics may be in front."""
 
-    def __init__(self, name: str, form: Form, counts: Counts, address: str):
+    def __init__(self, name: str, form: Form, address: str):
         """Connect; the other side may come later.
 
         Raises:
             MissingExtraError: pyzmq is not installed.
             MotesError: the address is none.
         """
-        super().__init__(name, form, counts)
+        super().__init__(name, form)
         self._zmq: Any = need("zmq", "io")
         self._socket = self._zmq.Context.instance().socket(self._zmq.SUB)
         self._socket.setsockopt(self._zmq.RCVHWM, WAITING)
