@@ -28,7 +28,7 @@ def remove_unfinished() -> None:
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove what a process that was killed left of a file that it was making (see `archive.whole_file`); of one that no other makes now."""
+    """Remove what a killed process left of a file that it was making (see `archive.whole_file`); only where no other makes it now."""
     for place in path.parent.glob(f".{glob.escape(path.name[:80])}.{16 * '[0-9a-f]'}"):
         with contextlib.suppress(OSError):
             _remove(place)

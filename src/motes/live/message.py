@@ -45,6 +45,10 @@ class Unreadable(Exception):
     """A message that cannot be used; the text says why."""
 
 
+class Early(Unreadable):
+    """A message that came before the first inputs."""
+
+
 class Names(NamedTuple):
     """What is called how in messages.
 
@@ -120,7 +124,7 @@ class Form:
         lacking = [name for name in self.needed if name not in self.held]
         measured = any(name in content for name in self.columns)
         if lacking and measured:
-            raise Unreadable(f"the input {lacking[0]!r} has not come yet")
+            raise Early(f"the input {lacking[0]!r} has not come yet")
         if not measured and not any(name in content for name in self.needed):
             raise Unreadable(f"none of {', '.join((*self.columns, *self.needed))[:120]} in it, but {', '.join(content)[:120] or 'nothing'}")
         time = _number(content, self.time)

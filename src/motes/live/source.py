@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from motes.live.counts import Counts
-from motes.live.message import Form, Message, Unreadable
+from motes.live.message import Early, Form, Message, Unreadable
 
 
 class Source(ABC):
@@ -66,8 +66,7 @@ class TextSource(Source):
         try:
             return self.form.read(text, position, arrived)
         except Unreadable as reason:
-            kind = "early" if "has not come yet" in str(reason) else "unreadable"
-            self.counts.add(kind, f"{self.name}: {reason}.")
+            self.counts.add("early" if isinstance(reason, Early) else "unreadable", f"{self.name}: {reason}.")
             return None
 
     def message(self, content: Any) -> Message:
