@@ -48,7 +48,9 @@ test-native: $(STAMP)
 	@XLA_FLAGS="$$($(BIN)/python tests/quick.py)" MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized" $(NATIVE)
 	@MOTES_ENGINE=native $(BIN)/python -m pytest -n 2 --dist loadgroup -m optimized $(NATIVE)
 
-# the contract, traced programs and kernels once more, on the newest Python that is here and the newest JAX for it
+# traced programs, kernels, and of the contract what is compiled, mapped and differentiated, once more, on the newest Python that is here and
+# the newest JAX for it
+MOVED := compiled_once or vmapped or eager or derivative or form or not float32
 KERNELS := tests/native/test_blocks.py tests/native/test_translate.py tests/native/test_math.py
 test-newest:
 	@newest=$$($(PYTHON) tests/newest.py) && if [ -z "$$newest" ]; then \
@@ -56,7 +58,7 @@ test-newest:
 	else \
 		$(MAKE) --no-print-directory setup VENV=$(NEWEST) PYTHON="$$newest" EXTRAS=test && \
 		export XLA_FLAGS="$$($(NEWEST)/bin/python tests/quick.py)" && \
-		$(NEWEST)/bin/python -m pytest -n 2 --dist loadgroup -m "not optimized" tests/contract tests/tracing $(KERNELS); \
+		$(NEWEST)/bin/python -m pytest -n 2 --dist loadgroup -m "not optimized" -k "$(MOVED)" tests/contract tests/tracing $(KERNELS); \
 	fi
 
 lint: $(STAMP)

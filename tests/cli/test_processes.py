@@ -3,6 +3,7 @@
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -42,11 +43,11 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def started(*more):
+def started(*more, told=None):
     heard = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from motes.cli.main import main; main()"
     paths = os.pathsep.join(filter(None, sys.path))
-    return subprocess.Popen([sys.executable, "-c", heard, *ASKED, *more], env=os.environ | {"PYTHONPATH": paths}, stdout=subprocess.PIPE,
-                            stderr=subprocess.PIPE, text=True)  # fmt: skip
+    return subprocess.Popen([sys.executable, "-c", heard, *ASKED, *more], env=os.environ | {"PYTHONPATH": paths} | (told or {}),
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # fmt: skip
 
 
 def children(process):
@@ -81,6 +82,16 @@ def same(one, two):
     return all(np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True) for a, b in zip(one, two, strict=True))
 
 
+def test_two_processes_find_what_one_does(folder):
+    Path("own.py").write_text(OWN.format(every=0.0, steps=8))
+    process = started("--processes", "2", "--out", "two")
+    assert main([*ASKED, "--out", "one"]) == 0
+    out, err = ended(process)
+    assert process.returncode == 0 and "Results are in two." in out and "Gloo" not in out, err
+    assert same("one", "two")
+
+
+@pytest.mark.night
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="the system does not tell what a process runs")
 def test_a_killed_process_is_told_and_the_run_goes_on_with_the_same_bits(folder):
     process = started("--processes", "2", "--out", "two")
@@ -108,6 +119,28 @@ def test_told_to_end_it_saves_and_ends(folder):
     process.send_signal(signal.SIGTERM)
     _, err = ended(process)
     assert process.returncode == 143 and "ended by SIGTERM; what was done is kept in two" in told(err)
+
+
+@pytest.mark.night
+@pytest.mark.optimized
+@pytest.mark.parametrize("whom", [0, 1])
+def test_of_processes_that_a_launcher_started_none_outlives_another(folder, whom):
+    """Process 0 is where all find each other: without it the others end within seconds, and the run goes on from what was kept."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    told = {"JAX_COORDINATOR_ADDRESS": address, "JAX_NUM_PROCESSES": "2"}
+    both = [started("--hosts", "--out", "two", told=told | {"JAX_PROCESS_ID": str(number)}) for number in range(2)]
+    until_something_is_kept(both[0], "two")
+    os.kill(both[whom].pid, signal.SIGKILL)
+    began = time.monotonic()
+    other = both[1 - whom]
+    _, err = other.communicate(timeout=SECONDS)
+    assert time.monotonic() - began < 15 and other.returncode not in (0, None), err
+    both[whom].communicate()
+    assert main([*ASKED, "--out", "one"]) == 0 and main([*ASKED, "--out", "two"]) == 0
+    assert same("one", "two")
+    assert not list(folder.glob("*/.*")), "nothing is left half-written"
 
 
 @pytest.mark.night

@@ -33,7 +33,8 @@ BY_DAY = {"answers": OWN, "form": set(FILTERS), "value": set(FILTERS), "likeliho
 FUSED = {"ParticleFilter", "MarginalizedParticleFilter", "RegularizedParticleFilter", "KalmanParticleKernelFilter"}
 """Filters whose stages are native kernels; between such kernels the others run the same programs whatever the engine is called."""
 NATIVE = os.environ.get("MOTES_ENGINE") == "native"
-ONE_STATE = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,), "size": 1}
+ONE_STATE = {"lower": (-9.0,), "upper": (9.0,), "nodes": (60,), "size": 1, "widths": (0.5,),
+             "fresh": lambda key, y, u, t: 1.5 * jax.random.normal(key, (1,))}  # fmt: skip
 """Parameters in place of those for two states."""
 
 

@@ -14,7 +14,7 @@ from motes.testing.session import GAP, STEPS, Session
 pytestmark = pytest.mark.jax
 PLACES = [[4.0, 1.0], [-3.0, 6.0]]
 FILTERS = {"with the sightings": mo.LandmarkFilter(n=200), "blind": mo.LandmarkFilter(n=200, proposal=False)}
-BY_DAY = {"form", "value", "stream", "cut", "checkpoint", "vmapped"}
+BY_DAY = {"form", "value", "stream", "cut", "checkpoint"}
 """Rules that are asked by day."""
 
 

@@ -1,5 +1,7 @@
 """The planner, with a clock that is made up: what it chooses from, how many particles it gives, what it prefers, what it refuses."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -49,6 +51,35 @@ def test_candidates():
     names = [candidate.name for candidate in candidates(many, None)]
     assert names[:2] == ["particle filter", "marginalized, all but x8"] and len(names) == 1 + 7 + 1 + 1
     assert all(candidate.linear for candidate in candidates(many, None)[1:])
+
+
+def test_elements_are_proposed_where_they_pay(monkeypatch):
+    """Four devices: a quarter of the particles each, and messages that take as long as a thousand particles more than all of it."""
+    monkeypatch.setattr("motes.planning.candidates.devices", SimpleNamespace(chosen=lambda: 4))
+
+    def seconds(self, candidate, span=0):
+        shared = isinstance(candidate.filter, mo.Distributed)
+        n = candidate.filter.particle_count or 0
+        return FIXED + EACH * (n / 4 + 4_000 if shared else n)
+
+    monkeypatch.setattr(Clock, "seconds", seconds)
+    filters = {name: one for one in candidates(model(), None) for name in [one.name]}
+    assert list(filters) == ["particle filter", "marginalized hidden", "particle filter, 4 elements", "marginalized hidden, 4 elements",
+                             "extended Kalman filter"]  # fmt: skip
+    clock = Clock(model(), np.zeros((3, 1)), None, CONSTANTS, False)
+    plain, shared = filters["particle filter"], filters["particle filter, 4 elements"]
+    for budget, pays in ((FIXED + EACH * 4_500, False), (FIXED + EACH * 64_000, True)):
+        sizes = {name: one.filter.particle_count for name, one in clock.fitting([plain, shared], budget).items()}
+        assert (sizes[shared.name] > sizes[plain.name]) == pays and sizes[shared.name] % 4 == 0
+    best = clock.refined(clock.fitting([shared], budget)[shared.name], budget)
+    assert best.filter.elements == 4 and best.seconds == pytest.approx(budget, rel=0.02)
+    assert mo.Distributed(mo.ParticleFilter(n=12), 3).with_particles(100).particle_count == 102
+
+
+def test_several_processes_do_not_plan(monkeypatch):
+    monkeypatch.setattr("motes.core.hosts.are_several", lambda: True)
+    with pytest.raises(mo.MotesError, match="plan: expected one process"):
+        mo.plan(model(), 1e-4)
 
 
 def test_budget(clock):

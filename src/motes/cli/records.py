@@ -190,21 +190,9 @@ def with_size(filters: dict[str, Any], n: int) -> dict[str, Any]:
     """
     if n > MOST:
         refuse("n", f"at most {MOST} particles", n)
-    found = {name: _sized(one, n) for name, one in filters.items()}
-    if all(one is filters[name] for name, one in found.items()):
+    if all(one.particle_count is None for one in filters.values()):
         refuse("n", "filters with particles", ", ".join(filters))
-    return found
-
-
-def _sized(one: Any, n: int) -> Any:
-    """Return a filter with n particles, at most so many where it chooses, or one around such a filter; the same where it has none."""
-    names = {field.name for field in dataclasses.fields(one)}
-    if "n" in names:
-        return dataclasses.replace(one, n=n)
-    if "sizes" in names:
-        return dataclasses.replace(one, sizes=(*(size for size in one.sizes if size < n), n))
-    inner = _sized(one.filter, n) if "filter" in names else None
-    return one if inner is None or inner is one.filter else dataclasses.replace(one, filter=inner)
+    return {name: one if one.particle_count is None else one.with_particles(n) for name, one in filters.items()}
 
 
 def choice_of(record: Any) -> dict[str, Any]:

@@ -28,7 +28,6 @@ from motes.filters.interface import Filter
 from motes.filters.keep import Keep
 from motes.filters.notices import notices
 from motes.filters.run import run
-from motes.filters.wrapper import Around
 from motes.io.archive import provenance, whole_file
 from motes.io.files import label
 from motes.io.result_table import Table
@@ -127,9 +126,7 @@ def steps(history: History) -> int:
 
 def size(filter: Filter) -> str:
     """Return the number of particles of a filter as a table shows it; a dash where it has none."""
-    while isinstance(filter, Around):
-        filter = filter.filter
-    return str(vars(filter).get("n", "-"))
+    return "-" if filter.particle_count is None else str(filter.particle_count)
 
 
 def check_smoother(seed: int, smoother: Smoother, filters: Mapping[str, Filter], job: Job) -> None:

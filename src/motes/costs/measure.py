@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from motes.core import checks, devices
-from motes.core.record import record, replace, values
+from motes.core.record import record, replace
 from motes.core.types import Inputs, Measurements
 from motes.filters.data import checked_data, steps_of
 from motes.filters.distributed import Distributed
@@ -168,12 +168,12 @@ def fit_step_time(  # noqa: PLR0913 (those of a run, and what is varied)
         return StepTime.fitted(tuple(
             (n / count, k / count, one.sent(model, count), seconds_per_step(one, model, ys, inputs, repeats))
             for n in particles for k in elements
-            for one in [Distributed(replace(filter.filter, n=n), k, filter.exchange)]
+            for one in [replace(filter, filter=filter.filter.with_particles(n), elements=k)]
         ))  # fmt: skip
-    if "n" not in values(filter):
+    if filter.particle_count is None:
         checks.refuse("fit_step_time filter", "a filter with a number of particles n", type(filter).__name__)
     _different("particles", particles)
-    return StepTime.fitted(tuple((n, seconds_per_step(replace(filter, n=n), model, ys, inputs, repeats)) for n in particles))
+    return StepTime.fitted(tuple((n, seconds_per_step(filter.with_particles(n), model, ys, inputs, repeats)) for n in particles))
 
 
 def _different(name: str, numbers: tuple[int, ...]) -> None:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, random
-from motes.core.record import record, replace, static, values
+from motes.core.record import record, replace, static
 from motes.filters.info import Info
 from motes.filters.interface import Filter, Guide
 from motes.filters.wrapper import Wrapper, cloud_of, with_cloud
@@ -66,11 +66,8 @@ class AdaptiveSize(Wrapper):
         Raises:
             MotesError: sizes do not increase, a width is not above 0, error or level is no number between 0 and 1, or the filter has no n.
         """
-        inner = self.filter
-        while isinstance(inner, Wrapper):
-            inner = inner.filter
-        if "n" not in values(inner):
-            checks.refuse("AdaptiveSize filter", "one with a number of particles n", type(inner).__name__)
+        if self.filter.particle_count is None:
+            checks.refuse("AdaptiveSize filter", "one with a number of particles n", type(self.filter).__name__)
         for name in ("sizes", "widths"):
             if not isinstance(getattr(self, name), (tuple, list)) or not getattr(self, name):
                 checks.refuse(f"AdaptiveSize {name}", "some numbers, in a tuple", getattr(self, name))
@@ -87,13 +84,18 @@ class AdaptiveSize(Wrapper):
             if not 0 < getattr(self, name) < 1:
                 checks.refuse(f"AdaptiveSize {name}", "a number between 0 and 1", getattr(self, name))
 
+    @property
+    def particle_count(self) -> int:
+        """The most particles that it chooses."""
+        return self.sizes[-1]
+
+    def with_particles(self, n: int) -> "AdaptiveSize":
+        """Return the same filter with at most n particles."""
+        return replace(self, sizes=(*(size for size in self.sizes if size < n), n))
+
     def _sized(self, n: int) -> Filter:
-        """Return the inner filter with so many particles, through all that is around it."""
-
-        def inner(filter: Filter) -> Filter:
-            return replace(filter, filter=inner(filter.filter)) if isinstance(filter, Wrapper) else replace(filter, n=n)
-
-        return inner(self.inner)
+        """Return the inner filter with so many particles."""
+        return self.inner.with_particles(n)
 
     def begun(self, key: jax.Array, model: Any, law: Any) -> Any:
         """Begin with the most."""

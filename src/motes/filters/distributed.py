@@ -77,8 +77,8 @@ class Distributed(Around, TwoStageFilter):
             MotesError: the inner filter has no such particles, their number is not a multiple of elements, or the exchange is none or does
                 not fit.
         """
-        n = getattr(self.filter, "n", None)
-        if not isinstance(self.filter, TwoStageFilter) or not isinstance(n, int):
+        n = self.filter.particle_count
+        if not isinstance(self.filter, TwoStageFilter) or n is None:
             checks.refuse("Distributed filter", EXPECTED, type(self.filter).__name__)
         checks.positive_integer("Distributed elements", self.elements)
         if n % self.elements:
@@ -101,10 +101,15 @@ class Distributed(Around, TwoStageFilter):
         if policy.needed_by(Sums(none, none, none), self.size) is None:
             checks.refuse("Distributed filter policy", f"ESS, Entropy, Always or Never, for {name}", type(policy).__name__, instead)
 
+    def with_particles(self, n: int) -> "Distributed":
+        """Return the same filter with n particles, or as many more as its elements need to have the same number."""
+        checks.positive_integer("Distributed n", n)
+        return replace(self, filter=self.filter.with_particles(-(-n // self.elements) * self.elements))
+
     @property
     def size(self) -> int:
         """Number of particles of an element."""
-        return getattr(self.filter, "n") // self.elements  # noqa: B009
+        return (self.filter.particle_count or 0) // self.elements
 
     def sent(self, model: Any, devices: int) -> int:
         """Return the bytes that each of so many devices sends in a step, beside a few numbers of each element.
@@ -122,7 +127,7 @@ class Distributed(Around, TwoStageFilter):
     @property
     def _each(self) -> Any:
         """The filter of one element."""
-        return replace(self.filter, n=self.size)
+        return self.filter.with_particles(self.size)
 
     def init(self, key: jax.Array, model: Any) -> Any:
         """Begin each element as the inner filter does.

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from motes.core import checks, random
-from motes.core.record import record, replace, static
+from motes.core.record import record, replace, static, values
 from motes.filters import alarm
 from motes.filters.info import Info
 from motes.laws.observed import is_nothing
@@ -90,6 +90,15 @@ class Filter(ABC):
     def with_gate(self, gate: float | None) -> "Filter":
         """Return the same filter with another gate."""
         return replace(self, gate=gate)
+
+    @property
+    def particle_count(self) -> int | None:
+        """Number of particles n that the filter is given; None of one that has none."""
+        return values(self).get("n")
+
+    def with_particles(self, n: int) -> "Filter":
+        """Return the same filter with n particles; with the least number above, where it cannot have every number."""
+        return replace(self, n=n)
 
     @property
     def loses_derivatives(self) -> bool:

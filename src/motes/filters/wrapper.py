@@ -52,6 +52,15 @@ class Around:
         return replace(self, filter=self.filter.with_gate(gate))
 
     @property
+    def particle_count(self) -> int | None:
+        """That of the inner filter."""
+        return self.filter.particle_count
+
+    def with_particles(self, n: int) -> Any:
+        """Return the same around the inner filter with n particles."""
+        return replace(self, filter=self.filter.with_particles(n))
+
+    @property
     def adds_inputs(self) -> bool:  # type: ignore[override]
         """Whether the inner filter does."""
         return self.filter.adds_inputs

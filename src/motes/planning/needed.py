@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from motes.core import checks
-from motes.core.record import replace, values
+from motes.core.record import replace
 from motes.planning.candidates import Candidate
 from motes.studies.experiment import Experiment
 from motes.studies.run import study
@@ -35,7 +35,7 @@ def needed(
     nearest = float("inf")
     for candidate in options:
         below = 0
-        for n in LADDER if "n" in values(candidate.filter) else (0,):
+        for n in LADDER if candidate.filter.particle_count is not None else (0,):
             sized = candidate.with_particles(n) if n else candidate
             if seconds(sized) > fastest:
                 break

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from motes.bounds.cramer_rao import posterior_cramer_rao
-from motes.core import checks, markdown
+from motes.core import checks, hosts, markdown
 from motes.core.record import record, static
 from motes.core.types import Inputs
 from motes.costs.calibration import Calibration, calibrate
@@ -104,6 +104,8 @@ def plan(
 ) -> Plan:
     """Choose filter, partition and number of particles for a clock or an accuracy, on this machine and the engine in force.
 
+    Where devices are shared out (`with mo.devices(8):`) it says, too, whether to have the filter in as many elements (`Distributed`).
+
     Times are those of a step inside a compiled run. A machine that is busy while it is timed gives a plan with too few particles.
 
     Args:
@@ -122,6 +124,8 @@ def plan(
     steps = pilot.steps if pilot.inputs is None else len(jax.tree.leaves(pilot.inputs)[0])
     one = jax.tree.map(lambda leaf: leaf[0], pilot.inputs)
     _check(budget, accuracy, states)
+    if hosts.are_several():
+        checks.refuse("plan", "one process, whose times decide", "several that work as one", "Plan on one machine, with mo.devices(count).")
     options = candidates(model, one) if pilot.filters is None else given_candidates(pilot.filters)
     costs = calibrate(model, inputs=one) if costs is None else costs
 
@@ -173,4 +177,4 @@ def _least(experiment: Experiment, unit: np.ndarray) -> float | None:
 def _row(name: str, sized: Sized, trial: Trial, least: float | None) -> tuple[str | int | float | None, ...]:
     milliseconds = (1e3 * sized.seconds, None if sized.by_flops is None else 1e3 * sized.by_flops)
     share = trial.error / least if least else None
-    return name, getattr(sized.filter, "n", None), *milliseconds, trial.error, trial.standard_error, share, trial.lost, trial.runs
+    return name, sized.filter.particle_count, *milliseconds, trial.error, trial.standard_error, share, trial.lost, trial.runs

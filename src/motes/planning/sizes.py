@@ -6,7 +6,6 @@ import jax
 
 from motes.core import checks
 from motes.core.progress import tracked
-from motes.core.record import replace, values
 from motes.core.types import Inputs
 from motes.costs.calibration import Calibration
 from motes.costs.flops import complexity
@@ -91,24 +90,26 @@ class Clock(NamedTuple):
     def refined(self, sized: Sized, budget: float | None) -> Sized:
         """Measure a filter at its number of particles and change that in proportion: what is chosen should keep the budget well."""
         measured = self.seconds(Candidate("", sized.filter, ()), LONG)
-        n = getattr(sized.filter, "n", None)
+        n = sized.filter.particle_count
         if n is None or budget is None:
             return sized._replace(seconds=measured)
         better = _in_lanes(n * budget / measured)
-        chosen = replace(sized.filter, n=better)
+        chosen = sized.filter.with_particles(better)
         by_flops = None if sized.by_flops is None else self.by_flops(Candidate("", chosen, tuple(getattr(chosen, "linear", None) or ())))
         return Sized(chosen, measured * better / n, by_flops)
 
     def _sized(self, candidate: Candidate, budget: float) -> Sized | float:
         """Return the candidate with n, or the seconds of its cheapest step."""
         filter = candidate.filter
-        if "n" not in values(filter):
+        if filter.particle_count is None:
             seconds = self.seconds(candidate)
             return Sized(filter, seconds, None) if seconds <= budget else seconds
         timed: dict[int, float] = {}
         n = FIRST
         for _ in range(ATTEMPTS):
-            timed[n] = self.seconds(candidate.with_particles(n))
+            sized = candidate.with_particles(n)
+            n = sized.filter.particle_count or n
+            timed[n] = self.seconds(sized)
             if len(timed) == 1:
                 n = FEWEST if timed[n] > budget else _in_lanes(max(2 * n, n * budget / timed[n]))
                 continue

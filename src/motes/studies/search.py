@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from motes.core import checks
-from motes.core.record import record, replace, static, values
+from motes.core.record import record, replace, static
 from motes.studies.experiment import Experiment
 from motes.studies.run import study
 from motes.studies.tables import accuracy, difference
@@ -72,7 +72,7 @@ def particles_for_rmse(
 
     def tried(n: int) -> Trial:
         given = experiment.filters[filter]
-        sized = (replace(own, n=n), given[1]) if isinstance(given, tuple) else replace(own, n=n)
+        sized = (own.with_particles(n), given[1]) if isinstance(given, tuple) else own.with_particles(n)
         result = study(replace(experiment, filters={filter: sized}), progress=False)
         squared = result.squared_errors(block)[0]
         found = accuracy(squared)
@@ -103,7 +103,7 @@ def _checked(experiment: Experiment, filter: str, block: str, target: Any, betwe
     checks.option("particles_for_rmse block", block, tuple(name for name, _ in experiment.blocks))
     _check_range("particles_for_rmse between", between)
     own = experiment.assumed(filter)[0]
-    if "n" not in values(own):
+    if own.particle_count is None:
         checks.refuse("particles_for_rmse filter", "a filter with a number of particles n", type(own).__name__)
     if isinstance(target, str):
         checks.option("particles_for_rmse target", target, tuple(name for name in experiment.filters if name != filter))

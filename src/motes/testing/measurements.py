@@ -161,13 +161,13 @@ def fewest(session: Session) -> str | None:
     """It works with one particle."""
     if not session.has_size:
         raise DoesNotApply("the filter has no n.")
-    return _finite(session, session.ys, session.model.size, filter=replace(session.filter, n=1))
+    return _finite(session, session.ys, session.model.size, filter=session.filter.with_particles(1))
 
 
 def smallest(session: Session) -> str | None:
     """It works on one state, with three particles."""
     session.ask_own_model()
-    filter = replace(session.filter, n=3) if session.has_size else session.filter
+    filter = session.filter.with_particles(3) if session.has_size else session.filter
     try:
         return _finite(session, session.ys[:, :2], 1, filter=filter, model=one_state())
     except MotesError as refusal:

@@ -1,6 +1,5 @@
 """One filter at work on one model. Compiling is what takes time: the rules share the programs, and what these computed, of one session."""
 
-import dataclasses
 import warnings
 from collections.abc import Sequence
 from functools import cached_property
@@ -155,7 +154,7 @@ class Session:
     @property
     def has_size(self) -> bool:
         """Whether the filter has a number of particles among its parameters."""
-        return "n" in {field.name for field in dataclasses.fields(self.filter)}
+        return self.filter.particle_count is not None
 
 
 def quietly() -> warnings.catch_warnings:
