@@ -15,7 +15,7 @@ RANKS = {
 }  # fmt: skip
 SHARED = {"filters": ("interface", "info", "clouds", "needs", "gated", "gaussian", "look_ahead", "proposals", "sharp", "alarm", "notices",
                       "precision", "history", "history_files", "keep", "data", "setup", "pair", "run", "wrapper", "pieces", "late",
-                      "stream_steps", "marginal_moves"),
+                      "stream_steps", "marginal_moves", "resized"),
           "mcmc": ("interface", "chains", "continuing", "convergence", "judgement", "jumps"),
           "montecarlo": ("estimate",), "detect": ("detection",), "parameters": ("posterior", "paths", "augmented")}
 """Files of a room of methods that others of the room may import; the methods themselves may not import each other."""

@@ -5,10 +5,10 @@ import time
 
 import numpy as np
 import pytest
-from live_parts import FILTER, MODEL, Given, Kept, form, run, same, texts, went
 
 import motes as mo
-from motes.filters.resized import resized, size_of, with_size
+from live_parts import FILTER, MODEL, Given, Kept, form, run, same, texts, went
+from motes.filters.resized import resized, size_of
 from motes.live import pace
 from motes.live.loop import Run, Work
 from motes.live.settings import Live
@@ -104,7 +104,7 @@ def test_a_law_with_fewer_particles_is_the_same_law():
     stream.predict({"dt": 0.1, "push": 0.0})
     stream.update(np.array([0.2]))
     around = mo.Recovering(mo.ParticleFilter(n=8), lambda key, y, u, t: y)
-    assert size_of(around) == 8 and size_of(with_size(around, 16)) == 16 and size_of(mo.KalmanFilter()) is None
+    assert size_of(around) == 8 and size_of(around.with_particles(16)) == 16 and size_of(mo.KalmanFilter()) is None
     with pytest.raises(mo.MotesError, match="number of particles"):
         resized(None, mo.Gaussian([0.0], [[1.0]]), mo.KalmanFilter())
 
@@ -132,7 +132,8 @@ def test_steps_that_keep_running_late_are_told_and_taken_with_fewer_particles(mo
     monkeypatch.setattr(pace, "LOOKED_AT", 10)
     monkeypatch.setattr(pace, "FEWEST", 16)
     monkeypatch.setattr(pace, "fitting", lambda filter, *rest: filter)
-    monkeypatch.setattr(pace.Pace, "ahead", lambda self, filter: setattr(self, "_next", with_size(filter, 32) if filter.n > 32 else None))
+    smaller = FILTER.with_particles(32)
+    monkeypatch.setattr(pace.Pace, "ahead", lambda self, filter: setattr(self, "_next", smaller if filter.n > 32 else None))
     found = run(texts(60), budget=1e-9)
     found.go(lambda: False)
     told = [one.getMessage() for one in caplog.records]
@@ -152,7 +153,7 @@ def test_a_budget_chooses_the_number_of_particles(monkeypatch, caplog):
 def test_a_restarted_run_has_the_size_that_it_had(tmp_path):
     path, lines = tmp_path / "run.npz", texts(10)
     first = run(lines[:6], path)
-    first._filter = with_size(FILTER, 32)
+    first._filter = FILTER.with_particles(32)
     first.go(lambda: False)
     again = run(lines, path, sink=Kept())
     assert again.restore() and again.stream.filter.n == 32 and again.stream.t == 5

@@ -80,7 +80,7 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
     from motes.models.state_space import at_step
 
     asked = wish.settings.live
-    _check(asked)
+    _refuse_numbers(asked)
     budget = seconds(asked.budget) if asked.budget else None
     job = wish.job()
     name, filter = _one_filter(wish, job)
@@ -100,11 +100,11 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
     except Exception:
         source.close()
         raise
-    checkpoint = Checkpoint(path, _identity(wish, job, name), u)
+    checkpoint = Checkpoint(path, _told_apart(wish, job, name), u)
     return Run(Work(wish.settings.seed, filter, job.model, form), source, asked, sinks=sinks, checkpoint=checkpoint, budget=budget), path
 
 
-def _check(asked: Any) -> None:
+def _refuse_numbers(asked: Any) -> None:
     """Refuse numbers that cannot be."""
     from motes.core import checks
 
@@ -155,7 +155,7 @@ def form_of(job: "Job", data: Any, asked: Any) -> "Form":
     return Form(names, y, None if job.inputs is None else at_step(job.inputs, 0), timed=bool(time))
 
 
-def _identity(wish: Asked, job: "Job", name: str) -> str:
+def _told_apart(wish: Asked, job: "Job", name: str) -> str:
     """Return what tells a run from others: what it reads and by which rules, and the model where functions can be compared."""
     import jax
 

@@ -1,4 +1,4 @@
-"""A law with another number of particles, and a filter with another n."""
+"""A law with another number of particles."""
 
 from typing import Any
 
@@ -32,13 +32,10 @@ def resized(key: jax.Array, law: Any, filter: Filter) -> Any:
 
 
 def size_of(filter: Filter) -> int | None:
-    """Return the number of particles of a filter, under all that is around it; None where it has none, or chooses it."""
-    found = values(filter)
-    if "sizes" in found:
-        return None
-    return found["n"] if "n" in found else size_of(filter.filter) if isinstance(filter, Around) else None
-
-
-def with_size(filter: Any, n: int) -> Any:
-    """Return a filter that has particles with another number of them, and all that is around it as it was."""
-    return replace(filter, n=n) if "n" in values(filter) else replace(filter, filter=with_size(filter.filter, n))
+    """Return the number of particles of a filter; None where it has none, or chooses it itself."""
+    inner: Any = filter
+    while isinstance(inner, Around):
+        if "sizes" in values(inner):
+            return None
+        inner = inner.filter
+    return inner.particle_count

@@ -115,14 +115,9 @@ class Stream:
         Raises:
             MotesError: so many are not kept.
         """
-        kept = len(self._past.steps)
-        if steps not in range(min(kept, self._past.lag) + 1):
-            most = min(kept, self._past.lag)
-            checks.refuse("back steps", f"at most {most}, which are kept", steps, "Start the stream with a larger lag=.")
         if steps:
-            first = self._past.steps[-steps]
-            self._past.forget(steps)
-            self._held, self.info, self._updated, self._pending = first[0], None, first[0] is not None, []
+            self._held = self._past.taken_back(steps)
+            self.info, self._updated, self._pending = None, self._held is not None, []
 
     def resize(self, filter: Filter) -> None:
         """Go on with the same filter of another number of particles, drawn from the present law; steps before cannot be gone back to.
@@ -132,8 +127,7 @@ class Stream:
         """
         carry = self._moved().whole()
         drawn = resized(random.step_key(self.key, carry.step), carry.state, filter)
-        self.filter, self._form = filter, None
-        self._past = Past(self._past.lag)
+        self.filter, self._form, self._past = filter, None, Past(self._past.lag)
         self._fit(carry.u, carry.y)
         self._held = handed_on(replace(carry, state=drawn))
 
@@ -285,11 +279,7 @@ class Stream:
         if self._held is None:
             checks.refuse("save", "a stream that has begun", "one without a measurement", "Call update(y) first.")
         self._settle()
-        held, updated = self._held, self._updated
-        if back:
-            held, updated = (self._past.steps[-back][0] if back in range(1, len(self._past.steps) + 1) else None), True
-        if held is None:
-            checks.refuse("save back", f"a step of the last {max(0, len(self._past.steps) - 1)}", back)
+        held, updated = (self._past.before(back), True) if back else (self._held, self._updated)
         texts = {"filter": repr(self.filter), "names": list(self.model.names), "updated": updated, "beside": beside}
         data = {"carry": held.whole(), "key": jax.random.key_data(self.key)}
         return archive.write_tree(Path(path), data, texts, kind="checkpoint")

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from motes.core import checks
 from motes.core.checks import FileError
 from motes.filters.interface import Filter
-from motes.filters.resized import size_of, with_size
+from motes.filters.resized import size_of
 from motes.filters.stream import Stream
 from motes.io.archive import read_tree
 from motes.io.files import label
@@ -72,7 +72,7 @@ class Checkpoint:
                               "one of another", hint, FileError)  # fmt: skip
             n = beside.get("n")
             if n is not None and size_of(filter) is not None:
-                filter = with_size(filter, n)
+                filter = filter.with_particles(n)
             stream = Stream.load(self.path, filter, model, self._inputs, lag)
         except FileError as reason:
             if hint in str(reason):

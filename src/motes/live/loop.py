@@ -1,9 +1,8 @@
 """The loop of a live run: messages in, steps of a filter, records out, checkpoints; until the source ends or it is asked to."""
 
 import gc
-import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,16 +19,13 @@ from motes.filters.stream import Stream
 from motes.live import pace
 from motes.live.checkpoint import Checkpoint
 from motes.live.counts import LOG
+from motes.live.inbox import POLL, Inbox
 from motes.live.message import Form, Message, Unreadable
 from motes.live.order import Order, Placed
 from motes.live.settings import Live
 from motes.live.sink import Guarded, Sink
 from motes.live.source import Source
 
-POLL = 0.2
-"""Seconds after which the loop looks at whether it is to end, while nothing comes."""
-QUEUE = 200_000
-"""Messages that may wait for the filter."""
 SILENCE = 10.0
 """Seconds without a message until that is said, and then after twice as long, and so on."""
 SETTLED = 100
@@ -151,7 +147,7 @@ class Run:
         Raises:
             MotesError: the clock of the source was set and the run is to end then, or nothing came for as long as it has patience.
         """
-        inbox = _Inbox(self.source)
+        inbox = Inbox(self.source)
         saved = heard = time.monotonic()
         silence = SILENCE
         try:
@@ -171,9 +167,9 @@ class Run:
                     refuse(f"source {self.source.name}", f"a message within {self.settings.patience:g} s", "none",
                            "Is it sent there? Set patience = 0 to wait for ever.")  # fmt: skip
                 for place, message in enumerate(messages):
+                    self._last = message
                     for placed in self._placed(message):
                         self._take(placed)
-                    self._last = message
                     if time.monotonic() - saved > self.settings.checkpoint:
                         self.save()
                         saved = time.monotonic()
@@ -316,66 +312,3 @@ class Run:
             "ess": ess, "log_evidence": log_evidence, "alarm": bool(alarm), "collapsed": bool(collapsed),
             "late": placed.back, "seconds": round(seconds, 6),
         }  # fmt: skip
-
-
-class _Inbox:
-    """Messages on their way from a source to the filter; those that do not wait where they come from are read by a thread."""
-
-    def __init__(self, source: Source):
-        self._source = source
-        self._queue: deque[Message] = deque()
-        self._came, self._ended = threading.Event(), threading.Event()
-        self._over = False
-        self._failure: BaseException | None = None
-        self._thread = None if source.waits else threading.Thread(target=self._listen, name="source", daemon=True)
-        if self._thread is not None:
-            self._thread.start()
-
-    def _listen(self) -> None:
-        try:
-            while not self._ended.is_set():
-                found = self._source.read(POLL)
-                if found is None:
-                    break
-                if len(self._queue) + len(found) > QUEUE:
-                    self._source.counts.add("overrun", f"{self._source.name}: messages come faster than the filter takes them; some are "
-                                            "lost.", len(found))  # fmt: skip
-                    continue
-                self._queue.extend(found)
-                if found:
-                    self._came.set()
-        except BaseException as reason:
-            self._failure = reason
-        self._over = True
-        self._came.set()
-
-    def take(self, timeout: float) -> Sequence[Message] | None:
-        """Return what came, waiting so many seconds at most; None where nothing will come any more."""
-        if self._thread is None:
-            if self._queue:
-                found = list(self._queue)
-                self._queue.clear()
-                return found
-            return self._source.read(timeout)
-        self._came.wait(timeout)
-        self._came.clear()
-        found = []
-        while self._queue:
-            found.append(self._queue.popleft())
-        if self._over:
-            self._came.set()
-            if not found:
-                if self._failure is not None:
-                    raise self._failure
-                return None
-        return found
-
-    def put_back(self, messages: Sequence[Message]) -> None:
-        """Put back what was not taken."""
-        self._queue.extendleft(reversed(messages))
-
-    def close(self) -> None:
-        self._ended.set()
-        if self._thread is not None:
-            self._thread.join(2 * POLL)
-        self._source.close()

@@ -63,7 +63,7 @@ class Order:
             MotesError: the clock of the source was set, and the run is to end then.
         """
         if self.settings.duplicate == "drop" and self._is_known(message):
-            self.counts.add("duplicates", f"{_named(message)} came before and is dropped.")
+            self.counts.add("duplicates", f"{_called(message)} came before and is dropped.")
             return []
         if self.settings.late != "wait" or message.time is None:
             placed = self._placed(message)
@@ -174,13 +174,13 @@ class Order:
             self._stubborn = 0
             if message.number is not None and self.counts.of["missing"]:
                 self.counts.of["missing"] -= 1
-            self.counts.add("late", f"{_named(message)} came late and is taken at its place, {back} steps back.")
+            self.counts.add("late", f"{_called(message)} came late and is taken at its place, {back} steps back.")
             return Placed(message, time, back)
         self._stubborn += 1
         if self._stubborn >= STUBBORN:
             self._stubborn = 0
             return self._jumped(message, 0.0 if time is None or last.time is None else time - last.time)
-        self.counts.add("dropped", f"{_named(message)} came too late and is dropped.")
+        self.counts.add("dropped", f"{_called(message)} came too late and is dropped.")
         return None
 
     def _later(self, message: Message, time: float | None) -> int:
@@ -199,9 +199,9 @@ class Order:
 
     def _jumped(self, message: Message, passed: float) -> Placed:
         way = f"{abs(passed):.3g} s {'ahead' if passed > 0 else 'back'}"
-        said = f"the clock of the source went {way} at {_named(message)}"
+        said = f"the clock of the source went {way} at {_called(message)}"
         if self.settings.clock_jump == "stop":
-            refuse("live clock_jump", f"times within {self.settings.jump:g} s", f"{way} at {_named(message)}",
+            refuse("live clock_jump", f"times within {self.settings.jump:g} s", f"{way} at {_called(message)}",
                    'Set clock_jump = "bridge" or "begin anew" to go on.')  # fmt: skip
         last = self.window[-1].time
         self._seen.clear()
@@ -223,7 +223,7 @@ class Order:
         return Placed(message, time)
 
 
-def _named(message: Message) -> str:
+def _called(message: Message) -> str:
     if message.number is not None:
         return f"message {message.number}"
     return "a message" if message.time is None else f"the message of {message.time!r:.30} s"

@@ -13,7 +13,7 @@ from motes.core import settings
 from motes.core.checks import MotesError
 from motes.costs.measure import StepTime
 from motes.filters.interface import Filter
-from motes.filters.resized import size_of, with_size
+from motes.filters.resized import size_of
 from motes.filters.stream import Stream
 from motes.live.counts import LOG
 
@@ -59,7 +59,7 @@ def fitting(filter: Filter, begin: Callable[[Filter], Stream], y: Any, u: Any, b
         budget: seconds.
     """
     try:
-        line = StepTime.fitted(tuple((n, timed(with_size(filter, n), begin, y, u)) for n in TRIED))
+        line = StepTime.fitted(tuple((n, timed(filter.with_particles(n), begin, y, u)) for n in TRIED))
         n = line.particles(SHARE * budget)
     except MotesError as reason:
         LOG.warning("budget: %s; it begins with %d particles.", str(reason).rstrip("."), size_of(filter))
@@ -67,7 +67,7 @@ def fitting(filter: Filter, begin: Callable[[Filter], Stream], y: Any, u: Any, b
     n = int(min(max(n, FEWEST), MOST))
     n -= n % LANES if n > LANES else 0
     LOG.info("budget %.3g ms: %d particles, whose step takes %.3g ms.", 1e3 * budget, n, 1e3 * line.seconds(n))
-    return with_size(filter, n)
+    return filter.with_particles(n)
 
 
 class Pace:
@@ -98,7 +98,7 @@ class Pace:
         self._last.clear()
         self._warned = False
         if n is not None and n // SMALLER >= FEWEST:
-            self._next = with_size(filter, n // SMALLER)
+            self._next = filter.with_particles(n // SMALLER)
             self._thread = threading.Thread(target=self._work, args=(self._next, settings.in_force()), daemon=True)
             self._thread.start()
 

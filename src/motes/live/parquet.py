@@ -69,8 +69,8 @@ class Parquet(Sink):
     def _go_on(self, rows: int | None) -> None:
         """Begin behind so many rows, or behind all that are there."""
         parts = sorted(int(found[1]) for one in self._folder.iterdir() if (found := PART.fullmatch(one.name)))
-        for number in parts if rows is not None else ():
-            if number > rows // ROWS:
+        for number in parts:
+            if rows is not None and number > rows // ROWS:
                 self._part(number).unlink()
         self._full, self._rows, self._written = (parts[-1] if parts else 0) if rows is None else rows // ROWS, [], 0
         remove_leftovers(self._part(self._full))

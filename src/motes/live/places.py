@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Sequence
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from motes.core.checks import refuse
 from motes.live.json_lines import JSONLines, to_file
@@ -26,7 +26,7 @@ def source_at(address: str, form: Form) -> Source:
     """
     if address == "-":
         return Lines("standard input", form, sys.stdin.fileno())
-    kind, host, port, parts = _parts("source", address, SOURCES)
+    kind, host, port, parts = _taken_apart("source", address, SOURCES)
     if kind == "udp":
         if host is None or port is None:
             refuse(f"source {address}", "udp://HOST:PORT, such as udp://127.0.0.1:5005", "no host or port")
@@ -51,7 +51,7 @@ def sink_at(address: str) -> Sink:
     """
     if address == "-":
         return JSONLines("standard output", sys.stdout.fileno())
-    kind = _parts("sink", address, SINKS)[0]
+    kind = _taken_apart("sink", address, SINKS)[0]
     if kind in ("tcp", "ipc"):
         return Publisher(address, address)
     if kind:
@@ -72,7 +72,8 @@ def sinks_at(addresses: Sequence[str]) -> list[Sink]:
     return found
 
 
-def _parts(what: str, address: str, expected: str):  # noqa: ANN202
+def _taken_apart(what: str, address: str, expected: str) -> tuple[str, str | None, int | None, SplitResult]:
+    """Return kind, host, port and all of an address; a path has no kind."""
     try:
         parts = urlsplit(address)
         return (parts.scheme if "://" in address else ""), parts.hostname, parts.port, parts

@@ -52,9 +52,8 @@ class Replay(Source):
             self._at = min(self._steps, begin + TOGETHER)
         else:
             now = time.monotonic()
-            if self._began is None:
-                self._began = now - self._times[begin] / self._speed
-            due = self._began + self._times / self._speed
+            began = now - self._times[begin] / self._speed if self._began is None else self._began
+            self._began, due = began, began + self._times / self._speed
             self._at = max(begin, int(np.searchsorted(due, now, "right")))
             if self._at == begin:
                 time.sleep(min(timeout, max(0.0, due[begin] - now)))
