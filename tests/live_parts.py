@@ -34,7 +34,7 @@ def texts(count, seed=0):
 class Given(TextSource):
     """Gives lines one after the other, with positions."""
 
-    waits = True
+    waits = repeats = True
 
     def __init__(self, lines, form, together=7):
         super().__init__("given", form)
@@ -65,7 +65,7 @@ class Kept:
         return len(self.records)
 
     def go_on(self, kept, cut):
-        self.records = self.records[:kept]
+        self.records = self.records[: kept if cut and kept is not None else None]
 
     def close(self):
         pass

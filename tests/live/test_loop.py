@@ -150,6 +150,27 @@ def test_a_budget_chooses_the_number_of_particles(monkeypatch, caplog):
     assert "budget" in caplog.records[-1].getMessage() and "begins with 64 particles" in caplog.records[-1].getMessage()
 
 
+def test_a_run_that_was_killed_before_its_first_checkpoint_begins_its_lines_anew(tmp_path):
+    path, lines, sink = tmp_path / "run.npz", texts(10), Kept()
+    killed = run(lines[:4], path, sink)
+    killed.save = lambda: False
+    killed.go(lambda: False)
+    assert len(sink.records) == 4 and path.exists()
+    again = run(lines, path, sink)
+    assert not again.restore() and not sink.records
+    again.go(lambda: False)
+    assert [record["step"] for record in sink.records] == list(range(10))
+
+
+def test_a_sink_that_was_not_there_before_is_not_cut(tmp_path):
+    path, lines = tmp_path / "run.npz", texts(10)
+    run(lines[:4], path).go(lambda: False)
+    other = Kept()
+    other.name, other.records = "other", [{"step": "as it was"}]
+    again = run(lines, path, other)
+    assert again.restore() and len(other.records) == 1
+
+
 def test_a_restarted_run_has_the_size_that_it_had(tmp_path):
     path, lines = tmp_path / "run.npz", texts(10)
     first = run(lines[:6], path)

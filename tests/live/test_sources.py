@@ -59,7 +59,7 @@ def test_an_example_gives_messages_their_form():
     (b"\xff\xfe\x00", "neither a JSON object nor numbers"), (b"[1, 2]", "neither"), (b"{", "no JSON"), (b'{"a": ' + 10**5 * b"[", "bytes"),
     (b"{}", "none of a, b, speed in it, but nothing"), (b'{"other": 1}', "none of"), (b"1,2,3", "3 numbers, expected 5"),
     (b'{"t": "now", "a": 1, "speed": 1}', "'t' is no finite number"), (b'{"a": "x", "speed": 1}', "'a' is no number"),
-    (b'{"a": 1e999, "speed": 1}', "not finite"), (b'{"a": 1, "speed": null}', "'speed' is not finite"),
+    (b'{"a": 1e999, "speed": 1}', "not finite"), (b'{"a": 1, "speed": NaN}', "'speed' is not finite"),
     (b'{"a": [1, [2]], "speed": 1}', "'a'"),
     (b'{"a": [1, 2], "b": 3, "speed": 1}', "shape (3,), expected (2,)"), (b'{"a": {"x": 1}, "speed": 1}', "'a' is no number"),
     (b'{"a": ' + 5000 * b"[" + 5000 * b"]" + b', "speed": 1}', ""), (b'{"t": NaN, "a": 1, "speed": 1}', "'t'"),

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from motes.cli import interruption
+from motes.cli import interruption, processes
 from motes.cli.asked import Asked
 from motes.cli.options import check_seed, refuse, seconds, shown
 
@@ -81,6 +81,8 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
 
     asked = wish.settings.live
     _refuse_numbers(asked)
+    if wish.settings.hosts or wish.settings.processes != 1:
+        refuse("live", "one process", "several")
     budget = seconds(asked.budget) if asked.budget else None
     job = wish.job()
     name, filter = _one_filter(wish, job)
@@ -124,7 +126,7 @@ def _one_filter(wish: Asked, job: "Job") -> "tuple[str, Any]":
     filters = wish.filters(job, "filter", "filters")
     if len(filters) > 1:
         refuse("live filter", "one filter", ", ".join(filters), "Give --filter NAME, or a table [filter].")
-    name, filter = next(iter(filters.items()))
+    name, filter = next(iter(processes.distributed(filters, wish.settings).items()))
     return name, job.worn(filter)
 
 

@@ -4,6 +4,8 @@ The law is that of before the steps that a late message may still go back to; th
 """
 
 import hashlib
+import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +14,7 @@ from motes.core.checks import FileError
 from motes.filters.interface import Filter
 from motes.filters.resized import size_of
 from motes.filters.stream import Stream
-from motes.io.archive import read_tree
+from motes.io.archive import read_tree, write_tree
 from motes.io.files import label
 from motes.io.unfinished import remove_leftovers
 from motes.live.counts import LOG
@@ -22,11 +24,11 @@ class Kept(NamedTuple):
     """What a checkpoint gives back.
 
     Attributes:
-        stream: as it was.
+        stream: as it was; None where the run was killed before its first checkpoint.
         beside: what was kept with it.
     """
 
-    stream: Stream
+    stream: Stream | None
     beside: dict[str, Any]
 
 
@@ -39,11 +41,22 @@ class Checkpoint:
         self._failed = False
         self.step: int | None = None
 
+    def begin(self, beside: dict[str, Any]) -> bool:
+        """Write what is to be known of a run that is killed before its first checkpoint, and tell whether it is there."""
+        texts = {"beside": {**beside, "identity": self._identity, "begun": True}}
+        return self._written(lambda: write_tree(self.path, {}, texts, "checkpoint"))
+
     def save(self, stream: Stream, beside: dict[str, Any], back: int) -> bool:
         """Write a checkpoint, and tell whether it is there."""
+        texts = {**beside, "identity": self._identity, "n": size_of(stream.filter)}
+        there = self._written(lambda: stream.save(self.path, texts, back))
+        self.step = stream.t if there else self.step
+        return there
+
+    def _written(self, write: Callable[[], object]) -> bool:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            stream.save(self.path, {**beside, "identity": self._identity, "n": size_of(stream.filter)}, back)
+            write()
         except (OSError, FileError) as reason:
             if not self._failed:
                 said = str(reason).rstrip(".")
@@ -52,7 +65,7 @@ class Checkpoint:
             return False
         if self._failed:
             LOG.warning("checkpoint: %s can be written again.", label(self.path))
-        self._failed, self.step = False, stream.t
+        self._failed = False
         return True
 
     def load(self, filter: Filter, model: Any, lag: int) -> Kept | None:
@@ -62,7 +75,7 @@ class Checkpoint:
             FileError: it is damaged, or of another filter, model or run.
         """
         remove_leftovers(self.path)
-        if not self.path.exists():
+        if not os.path.exists(self.path):
             return None
         hint = f"Move it away, or set resume = false to begin anew: {label(self.path)}"
         try:
@@ -70,6 +83,8 @@ class Checkpoint:
             if not isinstance(beside, dict) or beside.get("identity") != self._identity:
                 checks.refuse(f"checkpoint {label(self.path)}", "one of this run (source, seed, names and rules for messages)",
                               "one of another", hint, FileError)  # fmt: skip
+            if beside.get("begun"):
+                return Kept(None, beside)
             n = beside.get("n")
             if n is not None and size_of(filter) is not None:
                 filter = filter.with_particles(n)

@@ -27,15 +27,15 @@ class Lines(TextSource):
         """Read from an open file, by its number."""
         super().__init__(name, form)
         self._file, self._rest = file, b""
-        self._plain = stat.S_ISREG(os.fstat(file).st_mode)
-        self._at = os.lseek(file, 0, os.SEEK_CUR) if self._plain else 0
+        self.repeats = stat.S_ISREG(os.fstat(file).st_mode)
+        self._at = os.lseek(file, 0, os.SEEK_CUR) if self.repeats else 0
         self._ended = False
 
     def texts(self, timeout: float) -> Sequence[tuple[bytes, int | None, float | None]] | None:
         """Return lines; the last one may lack its end."""
         if self._ended:
             return None
-        if not self._plain and not select.select([self._file], [], [], timeout)[0]:
+        if not self.repeats and not select.select([self._file], [], [], timeout)[0]:
             return []
         piece = os.read(self._file, PIECE)
         if not piece:
@@ -52,12 +52,12 @@ class Lines(TextSource):
         found = []
         for line in lines:
             self._at += len(line) + 1
-            found.append((line, self._at if self._plain else None, None))
+            found.append((line, self._at if self.repeats else None, None))
         return found
 
     def go_on(self, position: int) -> None:
         """Begin at a byte of a plain file."""
-        if self._plain:
+        if self.repeats:
             self._at, self._rest = os.lseek(self._file, position, os.SEEK_SET), b""
 
 

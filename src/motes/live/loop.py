@@ -123,6 +123,10 @@ class Run:
         if kept is None:
             return False
         self.stream, beside = kept
+        for guarded in self.sinks:
+            guarded.sink.go_on(beside["sinks"].get(guarded.sink.name), cut=self.source.repeats)
+        if self.stream is None:
+            return False
         self._filter = self.stream.filter
         again = self.order.go_on(beside["order"], self.source.message)
         self.order.taken(again[0])
@@ -131,12 +135,9 @@ class Run:
         self.counts.of = Counter(beside["counts"])
         self.source.remember(beside["last"])
         self._last = self.source.message(beside["last"])._replace(position=beside["position"])
-        replayed = self._last.position is not None
         if self._last.position is not None:
             self.source.go_on(self._last.position)
-        for guarded, there in zip(self.sinks, beside["sinks"], strict=False):
-            guarded.sink.go_on(there, cut=replayed)
-        LOG.info("goes on after step %d%s.", self.stream.t, "" if replayed else "; what came since cannot be asked for again")
+        LOG.info("goes on after step %d%s.", self.stream.t, "" if self.source.repeats else "; what came since cannot be asked for again")
         if self._budget is not None:
             self._paced()
         return True
@@ -147,6 +148,8 @@ class Run:
         Raises:
             MotesError: the clock of the source was set and the run is to end then, or nothing came for as long as it has patience.
         """
+        if self.checkpoint is not None and self.stream is None:
+            self.checkpoint.begin({"sinks": self._kept_by_sinks()})
         inbox = Inbox(self.source)
         saved = heard = time.monotonic()
         silence = SILENCE
@@ -160,12 +163,8 @@ class Run:
                     break
                 if messages:
                     heard, silence = now, SILENCE
-                elif now - heard > silence:
-                    LOG.warning("nothing has come from %s for %.0f s.", self.source.name, now - heard)
-                    silence *= 2
-                if self.settings.patience and now - heard > self.settings.patience:
-                    refuse(f"source {self.source.name}", f"a message within {self.settings.patience:g} s", "none",
-                           "Is it sent there? Set patience = 0 to wait for ever.")  # fmt: skip
+                else:
+                    silence = self._silent(now - heard, silence)
                 for place, message in enumerate(messages):
                     self._last = message
                     for placed in self._placed(message):
@@ -182,6 +181,16 @@ class Run:
             for sink in self.sinks:
                 sink.close()
 
+    def _silent(self, seconds: float, told_after: float) -> float:
+        """Say that nothing comes, or end where patience does; return after how many seconds it is to be said next."""
+        if self.settings.patience and seconds > self.settings.patience:
+            refuse(f"source {self.source.name}", f"a message within {self.settings.patience:g} s", "none",
+                   "Is it sent there? Set patience = 0 to wait for ever.")  # fmt: skip
+        if seconds <= told_after:
+            return told_after
+        LOG.warning("nothing has come from %s for %.0f s.", self.source.name, seconds)
+        return 2 * told_after
+
     @property
     def kept_at(self) -> int | None:
         """Step of the last checkpoint; None where there is none."""
@@ -189,12 +198,15 @@ class Run:
 
     def save(self) -> bool:
         """Write a checkpoint of what was taken by now, and tell whether it is there."""
-        sinks = [sink.kept() for sink in self.sinks]
+        sinks = self._kept_by_sinks()
         if self.checkpoint is None or self.stream is None or self._last is None or not self.order.window:
             return False
         beside = {"counts": self.counts.kept(), "order": self.order.kept(), "last": self._last.content, "position": self._last.position,
                   "sinks": sinks}  # fmt: skip
         return self.checkpoint.save(self.stream, beside, len(self.order.window) - 1)
+
+    def _kept_by_sinks(self) -> dict[str, int | None]:
+        return {guarded.sink.name: guarded.kept() for guarded in self.sinks}
 
     def _placed(self, message: Message) -> list[Placed]:
         if message.y is None:

@@ -120,6 +120,7 @@ class Form:
         Raises:
             Unreadable: it lacks something, or something is no number.
         """
+        content = {name: value for name, value in content.items() if value is not None or name not in self.needed}
         self.held.update((name, content[name]) for name in self.needed if name in content)
         lacking = [name for name in self.needed if name not in self.held]
         measured = any(name in content for name in self.columns)

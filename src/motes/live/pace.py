@@ -11,6 +11,7 @@ import numpy as np
 
 from motes.core import settings
 from motes.core.checks import MotesError
+from motes.core.record import replace
 from motes.costs.measure import StepTime
 from motes.filters.interface import Filter
 from motes.filters.resized import size_of
@@ -36,7 +37,7 @@ SMALLER = 2
 
 def timed(filter: Filter, begin: Callable[[Filter], Stream], y: Any, u: Any) -> float:
     """Return the median seconds of a step of a stream."""
-    stream = begin(filter)
+    stream = begin(replace(filter, on_collapse="predict"))
     taken = []
     stream.update(y)
     for _ in range(WARM + STEPS):

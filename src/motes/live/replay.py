@@ -18,7 +18,7 @@ TOGETHER = 100
 class Replay(Source):
     """The rows of a recording, whatever file they were read from."""
 
-    waits = is_over = True
+    waits = is_over = repeats = True
 
     def __init__(self, name: str, ys: Any, inputs: Any = None, times: Any = None, speed: float = 1.0):
         """Take measurements and inputs, time axis first.

@@ -52,8 +52,7 @@ class Guarded:
     def __init__(self, sink: Sink):
         """Guard a sink."""
         self.sink, self.lost = sink, 0
-        self._until = 0.0
-        self._missing = 0
+        self._until, self._missing, self._fails = 0.0, 0, False
 
     def write(self, record: dict[str, Any]) -> None:
         """Hand on a record, unless the sink failed a moment ago."""
@@ -71,7 +70,7 @@ class Guarded:
             return
         if self._missing:
             LOG.warning("sink %s: works again; %d records are missing.", self.sink.name, self._missing)
-            self._missing = 0
+            self._missing, self._fails = 0, False
 
     def kept(self) -> int | None:
         """Return how far it is safe; None where it fails."""
@@ -89,10 +88,10 @@ class Guarded:
             self._failed(reason)
 
     def _failed(self, reason: Exception) -> None:
-        if not self._missing:
+        if not self._fails:
             LOG.warning("sink %s: %s; the filter goes on, and it is tried again every %g s.", self.sink.name,
                         getattr(reason, "strerror", None) or str(reason).rstrip("."), AGAIN)  # fmt: skip
-        self._until = time.monotonic() + AGAIN
+        self._until, self._fails = time.monotonic() + AGAIN, True
 
 
 def line_of(record: dict[str, Any]) -> bytes:

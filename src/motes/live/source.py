@@ -20,6 +20,8 @@ class Source(ABC):
     """Whether what is not read at once waits where it comes from; otherwise it is read by a thread of its own, so that nothing is lost."""
     is_over: ClassVar[bool] = False
     """Whether nothing can be added to what has ended."""
+    repeats: bool = False
+    """Whether what was read can be read again, from the position of a message on."""
 
     def __init__(self, name: str):
         """Take the name, and count from nothing."""
