@@ -14,7 +14,7 @@ from live_parts import command, folder_of, records
 from motes.cli.main import main
 
 LINES = 1500
-KILLS, SEED = 100, 5
+KILLS, SEED = 30, 5
 MOST = 120.0
 """Seconds in which a process must come to something."""
 

@@ -73,8 +73,8 @@ def robot_from_udp(folder, steps, rate, n):
     """Run the robot's job on messages at a rate; return the sink, the run, and how many messages came, how many of them twice."""
     job = load(Settings(seconds=steps * 0.1538 + 60), 0)
     assert len(job.times) >= steps
-    forward, turn = np.asarray(job.inputs.forward), np.asarray(job.inputs.turn)
-    rows = [json.dumps({"k": k, "time": float(job.times[k]), "y": [None if one != one else round(float(one), 3) for one in job.ys[k]],
+    ys, forward, turn = np.asarray(job.ys), np.asarray(job.inputs.forward), np.asarray(job.inputs.turn)
+    rows = [json.dumps({"k": k, "time": float(job.times[k]), "y": [None if one != one else round(float(one), 3) for one in ys[k]],
                         "forward": float(forward[k]), "turn": float(turn[k])}) for k in range(steps)]  # fmt: skip
     rows, came, twice = disturbed(rows, np.random.default_rng(1))
     (folder / "rows").write_text("\n".join(rows) + "\n")
