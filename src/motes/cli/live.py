@@ -5,7 +5,7 @@ Results go to the sinks, what happens to the log on the error stream; the run is
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,20 +30,22 @@ def carried_out(wish: Asked) -> None:
         SystemExit: never; asked to end by a signal, the process is ended.
     """
     check_seed(wish.settings.seed)
-    with logged() as log, interruption.saving(interrupts=True):
+    with logged() as log:
         run, path = prepared(wish)
-        try:
-            run.restore()
-            run.go(interruption.is_asked)
-        finally:
-            log.info("%s", run.counts.told())
-        step = run.kept_at
-        if interruption.is_asked():
-            if step is not None:
-                interruption.keeps(f"{path} (step {step})")
-            interruption.end()
+        run.restore()
+        with interruption.saving(interrupts=True):
+            try:
+                run.go(interruption.is_asked)
+            finally:
+                log.info("%s", run.counts.told())
+            step = run.kept_at
+            if interruption.is_asked():
+                if step is not None:
+                    interruption.keeps(f"{path} (step {step})")
+                interruption.end()
         if run.source.is_over:
-            path.unlink(missing_ok=True)
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
         elif step is not None:
             log.info("kept in %s (step %d): the same command goes on from there.", path, step)
 
@@ -88,7 +90,8 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
     name, filter = _one_filter(wish, job)
     form = form_of(job, getattr(wish.settings, "data", None), asked)
     u = at_step(job.inputs, 0)
-    filter.prepare(job.model, u) if job.inputs is not None or not form.inputs else None
+    if job.inputs is not None or not (form.inputs or form.timed):
+        filter.prepare(job.model, u)
     path = Path(wish.settings.out) / f"{name}{ENDING}"
     if asked.source:
         source: Any = source_at(asked.source, form)
