@@ -45,7 +45,8 @@ def test_a_run_that_was_told_to_end_and_one_that_was_killed_go_on_to_the_same_li
     assert [one["step"] for one in whole][-1] == LINES - 1 and sum(one["late"] > 0 for one in whole) > 20
     path = folder_of(tmp_path, lines=LINES, swapped=range(5, LINES - 5, 50))
     process = begun(tmp_path)
-    until(lambda: (tmp_path / "out" / "particle.live.npz").exists(), process)
+    track = tmp_path / "track.jsonl"
+    until(lambda: track.exists() and track.stat().st_size > 5_000, process)
     process.send_signal(signal.SIGTERM)
     err = process.communicate(timeout=MOST)[1]
     assert process.returncode == 143, err

@@ -147,6 +147,10 @@ def test_a_budget_chooses_the_number_of_particles(monkeypatch, caplog):
     monkeypatch.setattr(pace, "timed", lambda filter, *rest: 1e-4 + 1e-6 * filter.n)
     chosen = pace.fitting(FILTER, None, None, None, 2e-3)
     assert chosen.n == 896 and pace.fitting(FILTER, None, None, None, 1e-4).n == FILTER.n
+    monkeypatch.setattr(pace, "timed", lambda filter, *rest: 1e-3 - 1e-7 * filter.n)
+    assert pace.fitting(FILTER, None, None, None, 5e-3).n == 300 and pace.fitting(FILTER, None, None, None, 1e-3).n == 100
+    monkeypatch.setattr(pace, "timed", lambda filter, *rest: 1e-4 + 1e-6 * filter.n)
+    assert pace.fitting(FILTER, None, None, None, 1e-4).n == FILTER.n
     assert "budget" in caplog.records[-1].getMessage() and "begins with 64 particles" in caplog.records[-1].getMessage()
 
 
