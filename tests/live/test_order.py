@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from live_parts import MODEL, Kept, form, run, same, texts, went
 
 import motes as mo
+from live_parts import MODEL, Kept, form, run, same, texts, went
 from motes.live.counts import Counts
 from motes.live.message import Message
 from motes.live.order import STUBBORN, Order
@@ -40,7 +40,9 @@ def placed(times, numbers=None, arrived=None, **rules):
             order.back(one.back)
             order.taken(one)
             found.append((one.message.content["place"], one.back, one.time))
-    found += [(one.message.content["place"], one.back, one.time) for one in order.rest()]
+    for one in order.rest():
+        order.taken(one)
+        found.append((one.message.content["place"], one.back, one.time))
     return found, counts.of
 
 
@@ -60,6 +62,12 @@ def test_what_waits_comes_in_order_with_the_same_bits():
     found, waited = went(moved(lines, [(4, 6), (11, 12)]), late="wait", wait=0.5)
     assert same(whole, waited) and waited.counts.of["sorted"] == 2
     assert [record["step"] for record in found] == list(range(30))
+
+
+def test_what_waits_for_long_is_no_jump():
+    times = [0.1 * k for k in range(300)]
+    found, counts = placed(times, arrived=[5.0 + 0.1 * k for k in range(300)], late="wait", wait=20.0, jump=10.0)
+    assert [one[2] for one in found] == times and not counts["jumps"]
 
 
 def test_duplicates_and_what_is_too_late_are_dropped_and_counted():

@@ -3,7 +3,7 @@
 import gc
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -208,7 +208,7 @@ class Run:
     def _kept_by_sinks(self) -> dict[str, int | None]:
         return {guarded.sink.name: guarded.kept() for guarded in self.sinks}
 
-    def _placed(self, message: Message) -> list[Placed]:
+    def _placed(self, message: Message) -> Iterable[Placed]:
         if message.y is None:
             self.counts.add("inputs")
             return []

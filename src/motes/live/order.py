@@ -3,7 +3,7 @@
 import heapq
 import zlib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 from motes.core.checks import refuse
@@ -56,8 +56,8 @@ class Order:
         self._arrived: float | None = None
         self._newest: float | None = None
 
-    def take(self, message: Message) -> list[Placed]:
-        """Return what is to be taken now that a message came, in order; with "wait" it may be others than this one.
+    def take(self, message: Message) -> Iterable[Placed]:
+        """Give what is to be taken now that a message came, each once the one before was; with "wait" it may be others than this one.
 
         Raises:
             MotesError: the clock of the source was set, and the run is to end then.
@@ -76,8 +76,8 @@ class Order:
         heapq.heappush(self._waiting, (message.time, self._came, message))
         return self._due(self._newest - self.settings.wait)
 
-    def rest(self) -> list[Placed]:
-        """Return what still waits, in order; where a source has ended."""
+    def rest(self) -> Iterable[Placed]:
+        """Give what still waits, in order; where a source has ended."""
         return self._due(float("inf"))
 
     @property
@@ -129,13 +129,11 @@ class Order:
         self._known = set(self._seen)
         return [Placed(message(content)._replace(number=number), time) for content, number, time in kept["window"]]
 
-    def _due(self, until: float) -> list[Placed]:
-        found = []
+    def _due(self, until: float) -> Iterator[Placed]:
         while self._waiting and self._waiting[0][0] <= until:
             placed = self._placed(heapq.heappop(self._waiting)[2])
             if placed is not None:
-                found.append(placed)
-        return found
+                yield placed
 
     def _is_known(self, message: Message) -> bool:
         mark = message.number if message.number is not None else message.time

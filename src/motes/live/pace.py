@@ -34,7 +34,6 @@ SMALLER = 2
 """By how much a number of particles becomes smaller."""
 
 
-
 def timed(filter: Filter, begin: Callable[[Filter], Stream], y: Any, u: Any) -> float:
     """Return the median seconds of a step of a stream."""
     stream = begin(replace(filter, on_collapse="predict"))
