@@ -161,10 +161,9 @@ class Run:
                     for placed in self.order.rest():
                         self._take(placed)
                     break
-                if messages:
-                    heard, silence = now, SILENCE
-                else:
+                if not messages:
                     silence = self._silent(now - heard, silence)
+                    continue
                 for place, message in enumerate(messages):
                     self._last = message
                     for placed in self._placed(message):
@@ -175,6 +174,8 @@ class Run:
                     if ends():
                         inbox.put_back(messages[place + 1 :])
                         break
+                # a batch may have taken long
+                heard, silence = time.monotonic(), SILENCE
         finally:
             inbox.close()
             self.save()
