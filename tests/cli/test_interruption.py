@@ -76,6 +76,18 @@ def test_it_ends_whatever_the_main_thread_does(body):
     assert (process.returncode, err) == (130, "motes doctor: interrupted\n")
 
 
+def test_in_the_background_of_a_shell_it_hears_that_it_is_to_end():
+    waiting = ASLEEP.format(body="lambda words: (print('in', flush=True), __import__('time').sleep(60))")
+    process = started("signal.signal(signal.SIGINT, signal.SIG_IGN)\n" + waiting)
+    assert process.stdout.readline() == "in\n"
+    process.send_signal(signal.SIGINT)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(0.2)
+    process.send_signal(signal.SIGTERM)
+    err = process.communicate(timeout=SECONDS)[1]
+    assert (process.returncode, err) == (143, "motes doctor: ended by SIGTERM\n")
+
+
 def test_an_ordinary_handler_is_not_heard_there():
     locked = "lambda words: (print('in', flush=True), [ctypes.CDLL(None).pthread_mutex_lock(mutex) for _ in range(2)])"
     process = started(ASLEEP.format(body=locked).replace("sys.argv =", "cli.interruption.heed = lambda name: None\nsys.argv ="))

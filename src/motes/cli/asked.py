@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from motes.cli.dictionaries import with_dictionaries, without_dictionaries
 from motes.cli.options import first_and_flags, from_flags, from_table, perhaps, read_toml, refuse, shown
 from motes.cli.records import build, file_name, flags_of, merged, with_size
+from motes.live.settings import Live
 
 if TYPE_CHECKING:
     from motes.applications.interface import Job
@@ -41,6 +42,7 @@ class Run:
         processes: processes of this machine that share the work.
         hosts: work with the processes that a launcher started (srun, mpirun, torchrun, Kubernetes).
         out: folder for the results.
+        live: measurements as they come (`--live`, `--source udp://127.0.0.1:5005` and `--budget 5ms` are short for keys of it).
     """
 
     seed: int = 0
@@ -49,6 +51,7 @@ class Run:
     processes: int = 1
     hosts: bool = False
     out: str = field(default="out", metadata={"path": True})
+    live: Live = Live()
 
 
 @dataclass(frozen=True)
@@ -242,7 +245,7 @@ def asked(options: type, words: Sequence[str], usage: str) -> Asked:
     chosen, flags = flags_of(flags, RECORDS)
     given = {root: merged(table[root], {}) for root in RECORDS if root in table}
     from_file = _of_file(kind, options, source, table, first)
-    dictionaries, flags = without_dictionaries(from_file, _short(flags, source.settings))
+    dictionaries, flags = without_dictionaries(from_file, _short(flags, kind))
     settings = with_dictionaries(from_flags(from_file, flags, usage), dictionaries)
     # what flags choose counts alone: a filter in place of the file's filters, and the other way round
     for root in chosen.keys() & {"filter", "filters"}:
@@ -272,8 +275,13 @@ def _fields(kind: type) -> set[str]:
     return {one.name for one in dataclasses.fields(kind)}
 
 
+SHORT = {"--data": ("data", "--data.file"), "--live": ("live", "--live.on"), "--source": ("live", "--live.source"),
+         "--budget": ("live", "--live.budget")}  # fmt: skip
+"""Flags that are short for those of a table, where there is one of this name."""
+
+
 def _short(flags: Sequence[str], settings: type) -> list[str]:
-    """Return flags with `--data FILE`, which is short for `--data.file FILE` where the data are a table."""
-    table = next((one for one in dataclasses.fields(settings) if one.name == "data" and dataclasses.is_dataclass(one.default)), None)
-    return [word if table is None else "--data.file" if word == "--data" else word.replace("--data=", "--data.file=", 1)
-            for word in flags]  # fmt: skip
+    """Return flags with those that are short written out: `--data FILE` is `--data.file FILE` where the data are a table."""
+    tables = {one.name for one in dataclasses.fields(settings) if dataclasses.is_dataclass(one.default)}
+    known = {short: flag for short, (table, flag) in SHORT.items() if table in tables}
+    return [known.get(flag, flag) + equals + value for flag, equals, value in (word.partition("=") for word in flags)]

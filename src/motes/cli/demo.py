@@ -35,6 +35,8 @@ def main(words: Sequence[str]) -> None:
     from motes.core.hosts import is_first
 
     wish = asked(Run, [name, *rest], f"motes demo {name}")
+    if wish.settings.live.on or wish.settings.live.source:
+        refuse("live", f"motes run {name} --live", f"motes demo {name}")
     if processes.started("demo", [name, *rest], wish.settings):
         return
     with processes.at_work(wish.settings):

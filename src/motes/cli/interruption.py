@@ -22,9 +22,10 @@ SHOW_CURSOR = "\x1b[?25h\n"
 
 _ending = threading.Lock()
 _asked = threading.Event()
+_asked_by: int = signal.SIGTERM
 _name = "motes"
 _kept = ""
-_saves = False
+_saves: tuple[int, ...] = ()
 _instead: Callable[[int], object] | None = None
 
 
@@ -34,8 +35,9 @@ def heed(name: str) -> None:
     Args:
         name: what was interrupted, for the line.
     """
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        # a shell has interruptions of what it starts in its background ignored
+    # a shell has interruptions of what it starts in its background ignored
+    heard = [number for number in CODES if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL)]
+    if threading.current_thread() is not threading.main_thread() or not heard:
         return
     global _name
     _name = name
@@ -43,7 +45,7 @@ def heed(name: str) -> None:
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    for number in CODES:
+    for number in heard:
         # the thread hears of it in any case; Python asks for a handler
         signal.signal(number, lambda *about: None)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
@@ -57,14 +59,18 @@ def keeps(where: str) -> None:
 
 
 @contextmanager
-def saving() -> Iterator[None]:
-    """Let the first SIGTERM only ask the work in a `with` block to end, which looks at `is_asked` now and then, saves, and calls `end`."""
+def saving(interrupts: bool = False) -> Iterator[None]:
+    """Let the first SIGTERM only ask the work in a `with` block to end, which looks at `is_asked` now and then, saves, and calls `end`.
+
+    Args:
+        interrupts: whether the first Ctrl-C asks, too.
+    """
     global _saves
-    _saves = True
+    _saves = tuple(CODES) if interrupts else (signal.SIGTERM,)
     try:
         yield
     finally:
-        _saves = False
+        _saves = ()
 
 
 def is_asked() -> bool:
@@ -73,10 +79,10 @@ def is_asked() -> bool:
 
 
 def end() -> NoReturn:
-    """End this process as SIGTERM asked for."""
-    _end(signal.SIGTERM)
+    """End this process as the signal asked for."""
+    _end(_asked_by)
     # another thread is at it
-    leave(CODES[signal.SIGTERM])
+    leave(CODES[_asked_by])
 
 
 def instead(heard: Callable[[int], object]) -> None:
@@ -86,13 +92,15 @@ def instead(heard: Callable[[int], object]) -> None:
 
 
 def _listen(reader: int) -> None:
+    global _asked_by
     while True:
         heard = os.read(reader, 1)[0]
         if heard not in CODES:
             continue
         if _instead is not None:
             _instead(heard)
-        elif heard == signal.SIGTERM and _saves and not _asked.is_set():
+        elif heard in _saves and not _asked.is_set():
+            _asked_by = heard
             _asked.set()
         else:
             _end(heard)

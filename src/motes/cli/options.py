@@ -262,8 +262,8 @@ def shown(value: Any) -> str:
 def _beside(folder: Path, value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(_beside(folder, item) for item in value)
-    # a path from the home folder stands on its own; see `_at_home`
-    return os.path.join(folder, value) if value and not value.startswith("~") else value
+    # a path from the home folder stands on its own (see `_at_home`), as do addresses and the standard streams
+    return value if not value or value.startswith("~") or value == "-" or "://" in value else os.path.join(folder, value)
 
 
 def _at_home(settings: Settings) -> Settings:

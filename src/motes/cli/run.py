@@ -2,7 +2,8 @@
 
 Writes to the folder `--out`: for each filter its history as NetCDF and as NPZ, and, where a smoother is named, a table of what that found;
 `track.csv`, the way that the first filter found, step by step (`NAME_track.csv` of the others); `summary.json`; the tables and pictures of
-the application. The last lines say whether the runs can be trusted.
+the application. The last lines say whether the runs can be trusted. With `--live`
+measurements are taken as they come: see `live.py`.
 """
 
 from collections.abc import Sequence
@@ -30,6 +31,11 @@ def main(words: Sequence[str]) -> None:
         MotesError: an option, a file or the user's function cannot be used.
     """
     wish = asked(Run, words, USAGE)
+    if wish.settings.live.on or wish.settings.live.source:
+        from motes.cli import live
+
+        live.carried_out(wish)
+        return
     if processes.started("run", words, wish.settings):
         return
     with processes.at_work(wish.settings):

@@ -45,6 +45,28 @@ class Past:
             before, u, _ = self.steps[-1]
             self.steps[-1] = (before, u, y)
 
+    def taken_back(self, steps: Any) -> Packed | None:
+        """Take the last steps off, and return what the step before them handed on; None before step 0.
+
+        Raises:
+            MotesError: so many are not kept.
+        """
+        most = min(len(self.steps), self.lag)
+        if steps not in range(1, most + 1):
+            checks.refuse("back steps", f"at most {most}, which are kept", steps, "Start the stream with a larger lag=.")
+        return [self.steps.pop()[0] for _ in range(steps)][-1]
+
+    def before(self, steps: Any) -> Packed:
+        """Return what was handed on to the last steps.
+
+        Raises:
+            MotesError: so many are not kept, or nothing was measured then.
+        """
+        found = self.steps[-steps][0] if steps in range(1, len(self.steps) + 1) else None
+        if found is None:
+            checks.refuse("save back", f"at most {max(0, len(self.steps) - 1)} steps, which are kept", steps)
+        return found
+
     def place(self, t: Any) -> int:
         """Return the place of a step among those kept.
 

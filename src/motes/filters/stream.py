@@ -11,6 +11,7 @@ import numpy as np
 
 from motes.core import checks, markdown, random
 from motes.core.packed import Packed
+from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.filters.data import checked_data, is_array, refuse_infinite
 from motes.filters.frames import stream_facts
@@ -20,6 +21,7 @@ from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.late import Past, joined_measurement
 from motes.filters.pair import Pair, pair
+from motes.filters.resized import resized
 from motes.filters.setup import carry_like
 from motes.filters.stream_steps import advance, handed_on, move, start, take_in
 from motes.io import archive
@@ -50,7 +52,7 @@ class Stream:
             filter: the filter.
             model: state-space or mixed linear model.
             inputs: inputs of step 0 (not of the whole run), or None.
-            lag: how many steps back `insert` can go; the stream keeps as many laws.
+            lag: how many steps back `insert` and `back` can go; the stream keeps as many laws.
         """
         self._past = Past(lag)
         self.key, self.filter, self.model = random.as_key(key), filter, model
@@ -107,6 +109,28 @@ class Stream:
         self._fit(u, self._like)
         self._past.opened(held, u, None)
         self._pending, self._updated = [u], False
+
+    def back(self, steps: int) -> None:
+        """Go back so many steps, at most `lag`, as if they had never been taken: they can be taken again, others before them.
+
+        Raises:
+            MotesError: so many are not kept.
+        """
+        if steps:
+            self._held = self._past.taken_back(steps)
+            self.info, self._updated, self._pending = None, self._held is not None, []
+
+    def resize(self, filter: Filter) -> None:
+        """Go on with the same filter of another number of particles, drawn from the present law; steps before cannot be gone back to.
+
+        Raises:
+            MotesError: the law has no particles that can be drawn.
+        """
+        carry = self._moved().whole()
+        drawn = resized(random.step_key(self.key, carry.step), carry.state, filter)
+        self.filter, self._form, self._past = filter, None, Past(self._past.lag)
+        self._fit(carry.u, carry.y)
+        self._held = handed_on(replace(carry, state=drawn))
 
     def insert(self, y: Any, t: int) -> None:
         """Take in a measurement that came late, of a step before the present one.
@@ -221,6 +245,11 @@ class Stream:
         return self._held is not None
 
     @property
+    def held(self) -> Packed | None:
+        """What the last `update` left, a packed `Carry` that never changes: other threads may look at it; None before the first."""
+        return self._held
+
+    @property
     def t(self) -> int:
         """Index of the present step."""
         return 0 if self._held is None else int(self._held.whole().step) + len(self._pending)
@@ -248,22 +277,28 @@ class Stream:
         ask_evidence("stream.log_likelihood", self.filter.has_evidence, repr(self.filter))
         return jnp.zeros(()) if self._held is None else self._held.whole().evidence.value()
 
-    def save(self, path: str | Path) -> Path:
+    def save(self, path: str | Path, beside: dict[str, Any] | None = None, back: int = 0) -> Path:
         """Write a checkpoint (`.npz`), whole or not at all.
+
+        Args:
+            path: the file.
+            beside: what JSON can hold, to be kept with it; `motes.io.archive.read_tree` gives it back.
+            back: write it as it was so many steps ago.
 
         Raises:
             FileError: the file cannot be written.
-            MotesError: nothing has been measured yet.
+            MotesError: nothing has been measured yet, or then.
         """
         if self._held is None:
             checks.refuse("save", "a stream that has begun", "one without a measurement", "Call update(y) first.")
         self._settle()
-        texts = {"filter": repr(self.filter), "names": list(self.model.names), "updated": self._updated}
-        data = {"carry": self._held.whole(), "key": jax.random.key_data(self.key)}
+        held, updated = (self._past.before(back), True) if back else (self._held, self._updated)
+        texts = {"filter": repr(self.filter), "names": list(self.model.names), "updated": updated, "beside": beside}
+        data = {"carry": held.whole(), "key": jax.random.key_data(self.key)}
         return archive.write_tree(Path(path), data, texts, kind="checkpoint")
 
     @classmethod
-    def load(cls, path: str | Path, filter: Filter, model: Any, inputs: Inputs = None) -> "Stream":
+    def load(cls, path: str | Path, filter: Filter, model: Any, inputs: Inputs = None, lag: int = 0) -> "Stream":
         """Read a checkpoint back, for the same filter and model.
 
         Args:
@@ -271,6 +306,7 @@ class Stream:
             filter: the filter it was saved with.
             model: the model it was saved with.
             inputs: example of the inputs of one step, where they are more than an array or a dictionary of arrays.
+            lag: how many steps back `insert` and `back` can go, of those that come.
 
         Raises:
             FileError: the file is damaged, no checkpoint, or of another filter or model; the message names the difference.
@@ -292,7 +328,7 @@ class Stream:
             archive.fit(path, like(forms["carry"]), forms["carry"])
 
         tree, texts = archive.read_tree(path, "checkpoint", check)
-        stream = cls(jax.random.wrap_key_data(jnp.asarray(tree["key"], jnp.uint32)), filter, model)
+        stream = cls(jax.random.wrap_key_data(jnp.asarray(tree["key"], jnp.uint32)), filter, model, lag=lag)
         carry: Carry = archive.fill(path, like(tree["carry"]), tree["carry"])
         stream._like, stream._held = carry.y, handed_on(carry)
         stream._fit(carry.u, carry.y)

@@ -1,6 +1,7 @@
 """Files and folders that are being made: known, so that a process that ends at once leaves none of them behind."""
 
 import contextlib
+import glob
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,13 @@ def remove_unfinished() -> None:
     for path in list(_places):
         with contextlib.suppress(OSError):
             _remove(path)
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what a killed process left of a file that it was making (see `archive.whole_file`); only where no other makes it now."""
+    for place in path.parent.glob(f".{glob.escape(path.name[:80])}.{16 * '[0-9a-f]'}"):
+        with contextlib.suppress(OSError):
+            _remove(place)
 
 
 def _remove(path: Path) -> None:

@@ -1,0 +1,179 @@
+"""`motes run X --live`: a filter on measurements as they come, until their source ends or the command is asked to.
+
+Results go to the sinks, what happens to the log on the error stream; the run is kept in the folder `--out` and goes on from there.
+"""
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from motes.cli import interruption, processes
+from motes.cli.asked import Asked
+from motes.cli.options import check_seed, refuse, seconds, shown
+
+if TYPE_CHECKING:
+    from motes.applications.interface import Job
+    from motes.live.loop import Run
+    from motes.live.message import Form
+
+ENDING = ".live.npz"
+"""Of the file that keeps a run."""
+
+
+def carried_out(wish: Asked) -> None:
+    """Run a filter on what comes.
+
+    Raises:
+        MotesError: the application cannot be run so, a filter does not fit, or a source or a sink cannot be opened.
+        SystemExit: never; asked to end by a signal, the process is ended.
+    """
+    check_seed(wish.settings.seed)
+    with logged() as log:
+        run, path = prepared(wish)
+        run.restore()
+        with interruption.saving(interrupts=True):
+            try:
+                run.go(interruption.is_asked)
+            finally:
+                log.info("%s", run.counts.told())
+            step = run.kept_at
+            if interruption.is_asked():
+                if step is not None:
+                    interruption.keeps(f"{path} (step {step})")
+                interruption.end()
+        if run.source.is_over:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+        elif step is not None:
+            log.info("kept in %s (step %d): the same command goes on from there.", path, step)
+
+
+@contextmanager
+def logged() -> Iterator[logging.Logger]:
+    """Have what happens in a `with` block written on the error stream, a line each."""
+    from motes.live.counts import LOG
+
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    level, LOG.propagate = LOG.level, False
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    try:
+        yield LOG
+    finally:
+        LOG.removeHandler(handler)
+        LOG.setLevel(level)
+        LOG.propagate = True
+
+
+def prepared(wish: Asked) -> "tuple[Run, Path]":
+    """Return a run that is ready to go, and the file that keeps it.
+
+    Raises:
+        MotesError: see `carried_out`.
+    """
+    from motes.live.checkpoint import Checkpoint
+    from motes.live.counts import LOG
+    from motes.live.loop import Run, Work
+    from motes.live.places import sinks_at, source_at
+    from motes.live.replay import Replay
+    from motes.models.state_space import at_step
+
+    asked = wish.settings.live
+    _refuse_numbers(asked)
+    if wish.settings.hosts or wish.settings.processes != 1:
+        refuse("live", "one process", "several")
+    budget = seconds(asked.budget) if asked.budget else None
+    job = wish.job()
+    name, filter = _one_filter(wish, job)
+    form = form_of(job, getattr(wish.settings, "data", None), asked)
+    u = at_step(job.inputs, 0)
+    if job.inputs is not None or not (form.inputs or form.timed):
+        filter.prepare(job.model, u)
+    path = Path(wish.settings.out) / f"{name}{ENDING}"
+    if asked.source:
+        source: Any = source_at(asked.source, form)
+        LOG.info("waits for messages from %s, such as %s", source.name, form.example())
+    elif job.ys is None:
+        refuse("live source", "where measurements come from", "none", "Give --source udp://127.0.0.1:5005, --source - or a file.")
+    else:
+        source = Replay(wish.application.name, job.ys, job.inputs, job.times, asked.speed)
+    try:
+        sinks = sinks_at(asked.sinks)
+    except Exception:
+        source.close()
+        raise
+    checkpoint = Checkpoint(path, _told_apart(wish, job, name), u)
+    return Run(Work(wish.settings.seed, filter, job.model, form), source, asked, sinks=sinks, checkpoint=checkpoint, budget=budget), path
+
+
+def _refuse_numbers(asked: Any) -> None:
+    """Refuse numbers that cannot be."""
+    from motes.core import checks
+
+    checks.natural("live lag", asked.lag)
+    for name in ("jump", "checkpoint"):
+        checks.above_zero(f"live {name}", getattr(asked, name))
+    for name in ("speed", "wait", "patience"):
+        if not 0 <= getattr(asked, name) < float("inf"):
+            refuse(f"live {name}", "a number of at least 0", getattr(asked, name))
+
+
+def _one_filter(wish: Asked, job: "Job") -> "tuple[str, Any]":
+    from motes.applications.interface import Job
+
+    if callable(job.ys) or not job.goes_on or type(job).pieces is not Job.pieces or type(job).piece is not Job.piece:
+        refuse("live", "an application whose measurements are taken one by one", wish.application.name)
+    filters = wish.filters(job, "filter", "filters")
+    if len(filters) > 1:
+        refuse("live filter", "one filter", ", ".join(filters), "Give --filter NAME, or a table [filter].")
+    name, filter = next(iter(processes.distributed(filters, wish.settings).items()))
+    return name, job.worn(filter)
+
+
+def form_of(job: "Job", data: Any, asked: Any) -> "Form":
+    """Return what messages of a job look like.
+
+    Args:
+        job: the job.
+        data: settings of the data of a model of the user's own; of an application anything else.
+        asked: settings of the live run.
+    """
+    import numpy as np
+
+    from motes.cli.own import Data
+    from motes.live.message import Form, Names
+    from motes.models.state_space import at_step
+
+    own = data if isinstance(data, Data) else Data()
+    columns, time = asked.columns or own.columns, asked.time or own.time
+    sizes = {name: size for mode in job.model.each_mode() for name, size in mode.sensor.sensors}
+    y = None if job.ys is None else at_step(job.ys, 0)
+    if sizes and (not columns or sizes.keys() >= set(columns)):
+        names = columns or tuple(sizes)
+        columns, y = names, y if isinstance(y, dict) else {name: np.zeros(sizes[name]) for name in names}
+    elif isinstance(y, dict) and columns and set(columns) != set(y):
+        refuse("live columns", f"the names {', '.join(y)}", shown(", ".join(columns)))
+    names = Names(columns, own.inputs, time, asked.number, asked.fields)
+    return Form(names, y, None if job.inputs is None else at_step(job.inputs, 0), timed=bool(time))
+
+
+def _told_apart(wish: Asked, job: "Job", name: str) -> str:
+    """Return what tells a run from others: what it reads and by which rules, and the model where functions can be compared."""
+    import jax
+
+    from motes.core.checks import MotesError
+    from motes.live.checkpoint import identity
+    from motes.models.canonical import canonical, one_of
+    from motes.tracing.fingerprint import fingerprint
+
+    asked = wish.settings.live
+    try:
+        model = fingerprint("live", canonical(job.model, *jax.tree.map(one_of, (job.inputs, job.ys))))
+    except MotesError:
+        model = ""
+    rules = (asked.columns, asked.time, asked.number, asked.fields, asked.late, asked.lag, asked.wait, asked.duplicate, asked.clock_jump,
+             asked.jump)  # fmt: skip
+    return identity(wish.application.name, name, wish.settings.seed, asked.source, rules, model)

@@ -1,0 +1,102 @@
+"""Checkpoints of a live run: one file with all that it takes to go on, written whole or not at all.
+
+The law is that of before the steps that a late message may still go back to; these are kept as messages and taken again.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from motes.core import checks
+from motes.core.checks import FileError
+from motes.filters.interface import Filter
+from motes.filters.resized import size_of
+from motes.filters.stream import Stream
+from motes.io.archive import read_tree, write_tree
+from motes.io.files import label
+from motes.io.unfinished import remove_leftovers
+from motes.live.counts import LOG
+
+
+class Kept(NamedTuple):
+    """What a checkpoint gives back.
+
+    Attributes:
+        stream: as it was; None where the run was killed before its first checkpoint.
+        beside: what was kept with it.
+    """
+
+    stream: Stream | None
+    beside: dict[str, Any]
+
+
+class Checkpoint:
+    """The file of a run's checkpoints; what goes wrong with it is told in one line, and the filter goes on."""
+
+    def __init__(self, path: Path, identity: str, inputs: Any = None):
+        """Take the file, and what tells the run from others; inputs are an example of those of one step, where they are no dictionary."""
+        self.path, self._identity, self._inputs = path, identity, inputs
+        self._failed = False
+        self.step: int | None = None
+
+    def begin(self, beside: dict[str, Any]) -> bool:
+        """Write what is to be known of a run that is killed before its first checkpoint, and tell whether it is there."""
+        texts = {"beside": {**beside, "identity": self._identity, "begun": True}}
+        return self._written(lambda: write_tree(self.path, {}, texts, "checkpoint"))
+
+    def save(self, stream: Stream, beside: dict[str, Any], back: int) -> bool:
+        """Write a checkpoint, and tell whether it is there."""
+        texts = {**beside, "identity": self._identity, "n": size_of(stream.filter)}
+        there = self._written(lambda: stream.save(self.path, texts, back))
+        self.step = stream.t if there else self.step
+        return there
+
+    def _written(self, write: Callable[[], object]) -> bool:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write()
+        except (OSError, FileError) as reason:
+            if not self._failed:
+                said = str(reason).rstrip(".")
+                LOG.warning("checkpoint: %s; the filter goes on%s.", said, "" if self.step is None else f", step {self.step} is kept")
+            self._failed = True
+            return False
+        if self._failed:
+            LOG.warning("checkpoint: %s can be written again.", label(self.path))
+        self._failed = False
+        return True
+
+    def load(self, filter: Filter, model: Any, lag: int) -> Kept | None:
+        """Read the checkpoint, if there is one; of the same filter, but for its number of particles.
+
+        Raises:
+            FileError: it is damaged, or of another filter, model or run.
+        """
+        remove_leftovers(self.path)
+        if not os.path.exists(self.path):
+            return None
+        hint = f"Move it away, or set resume = false to begin anew: {label(self.path)}"
+        try:
+            beside = read_tree(self.path, "checkpoint")[1].get("beside")
+            if not isinstance(beside, dict) or beside.get("identity") != self._identity:
+                checks.refuse(f"checkpoint {label(self.path)}", "one of this run (source, seed, names and rules for messages)",
+                              "one of another", hint, FileError)  # fmt: skip
+            if beside.get("begun"):
+                return Kept(None, beside)
+            n = beside.get("n")
+            if n is not None and size_of(filter) is not None:
+                filter = filter.with_particles(n)
+            stream = Stream.load(self.path, filter, model, self._inputs, lag)
+        except FileError as reason:
+            if hint in str(reason):
+                raise
+            raise FileError(f"{str(reason)[:300]} {hint}") from None
+        self.step = stream.t
+        return Kept(stream, beside)
+
+
+def identity(*parts: Any) -> str:
+    """Return what tells a run from others."""
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,78 @@
+"""Messages on their way from a source to the filter: the rest of what was read waits here, or is read by a thread of its own."""
+
+import threading
+from collections import deque
+from collections.abc import Sequence
+
+from motes.live.message import Message
+from motes.live.source import Source
+
+POLL = 0.2
+"""Seconds after which is looked at whether the run is to end, while nothing comes."""
+QUEUE = 200_000
+"""Messages that may wait for the filter."""
+
+
+class Inbox:
+    """Messages of a source; those that do not wait where they come from are read by a thread."""
+
+    def __init__(self, source: Source):
+        """Begin to listen."""
+        self._source = source
+        self._queue: deque[Message] = deque()
+        self._came, self._ended = threading.Event(), threading.Event()
+        self._over = False
+        self._failure: BaseException | None = None
+        self._thread = None if source.waits else threading.Thread(target=self._listen, name="source", daemon=True)
+        if self._thread is not None:
+            self._thread.start()
+
+    def _listen(self) -> None:
+        try:
+            while not self._ended.is_set():
+                found = self._source.read(POLL)
+                if found is None:
+                    break
+                if len(self._queue) + len(found) > QUEUE:
+                    self._source.counts.add("overrun", f"{self._source.name}: messages come faster than the filter takes them; some are "
+                                            "lost.", len(found))  # fmt: skip
+                    continue
+                self._queue.extend(found)
+                if found:
+                    self._came.set()
+        except BaseException as reason:
+            self._failure = reason
+        self._over = True
+        self._came.set()
+
+    def take(self, timeout: float) -> Sequence[Message] | None:
+        """Return what came, waiting so many seconds at most; None where nothing will come any more."""
+        if self._thread is None:
+            if self._queue:
+                found = list(self._queue)
+                self._queue.clear()
+                return found
+            return self._source.read(timeout)
+        self._came.wait(timeout)
+        self._came.clear()
+        found = []
+        while self._queue:
+            found.append(self._queue.popleft())
+        if self._over:
+            self._came.set()
+            if not found:
+                if self._failure is not None:
+                    raise self._failure
+                return None
+        return found
+
+    def put_back(self, messages: Sequence[Message]) -> None:
+        """Put back what was not taken."""
+        self._queue.extendleft(reversed(messages))
+
+    def close(self) -> None:
+        """End the thread, and close the source."""
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join(2 * POLL)
+        self._source.close()

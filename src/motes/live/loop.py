@@ -1,0 +1,327 @@
+"""The loop of a live run: messages in, steps of a filter, records out, checkpoints; until the source ends or it is asked to."""
+
+import gc
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motes.core.checks import CollapseError, MotesError, refuse
+from motes.filters.info import Info
+from motes.filters.interface import Filter
+from motes.filters.resized import size_of
+from motes.filters.stream import Stream
+from motes.live import pace
+from motes.live.checkpoint import Checkpoint
+from motes.live.counts import LOG
+from motes.live.inbox import POLL, Inbox
+from motes.live.message import Form, Message, Unreadable
+from motes.live.order import Order, Placed
+from motes.live.settings import Live
+from motes.live.sink import Guarded, Sink
+from motes.live.source import Source
+
+SILENCE = 10.0
+"""Seconds without a message until that is said, and then after twice as long, and so on."""
+SETTLED = 100
+"""Steps after which what is alive then is taken to stay: Python need not look through it again for what can be freed."""
+
+
+class Taken(NamedTuple):
+    """What watchers are told of a step, beside the stream.
+
+    Attributes:
+        info: record of the step.
+        y: the measurement.
+        time: seconds; None where messages have none.
+        seconds: that the step took.
+        late: whether a late message was taken at its place; the law is that of the newest step all the same.
+    """
+
+    info: Info
+    y: Any
+    time: float | None
+    seconds: float
+    late: bool
+
+
+Watcher = Callable[[Stream, Taken], object]
+
+
+@jax.jit
+def _moments(state: Any, info: Info) -> jax.Array:
+    """Return means, standard deviations, log evidence, effective size, alarm and collapse as one array."""
+    mean = state.mean()
+    spread = jnp.sqrt(jnp.maximum(jnp.diagonal(state.cov()), 0))
+    told = jnp.stack([jnp.asarray(one, mean.dtype) for one in (info.log_evidence, info.ess, info.alarm, info.collapsed)])
+    return jnp.concatenate([mean, spread, told])
+
+
+class Work(NamedTuple):
+    """What runs.
+
+    Attributes:
+        key: JAX key or integer seed.
+        filter: the filter.
+        model: its model.
+        form: what makes inputs of a message.
+    """
+
+    key: Any
+    filter: Filter
+    model: Any
+    form: Form
+
+
+class Run:
+    """A live run.
+
+    Attributes:
+        stream: the filter at work; None before the first message.
+        counts: what came of the messages.
+    """
+
+    def __init__(
+        self, work: Work, source: Source, settings: Live, *, sinks: Sequence[Sink] = (), watchers: Sequence[Watcher] = (),
+        checkpoint: Checkpoint | None = None, budget: float | None = None,
+    ):  # fmt: skip
+        """Take the parts.
+
+        Args:
+            work: what runs.
+            source: where messages come from.
+            settings: the rules.
+            sinks: where results go.
+            watchers: are called after each step, by the thread of the filter: cheap, and never waiting.
+            checkpoint: where the run is kept; None for nowhere.
+            budget: seconds that a step may take; None for any.
+        """
+        self._work, self.source, self.settings, self.counts = work, source, settings, source.counts
+        self.order = Order(settings, source.counts)
+        self.sinks = [Guarded(sink) for sink in sinks]
+        self.watchers, self.checkpoint = list(watchers), checkpoint
+        self.stream: Stream | None = None
+        self._last: Message | None = None
+        self._budget = budget
+        self._filter: Filter | None = None
+        self._pace: pace.Pace | None = None
+        self._steps = 0
+
+    def restore(self) -> bool:
+        """Go on from the checkpoint, if there is one; tell whether there was.
+
+        Raises:
+            FileError: it is damaged or of another run.
+        """
+        filter, model = self._work.filter, self._work.model
+        kept = None if self.checkpoint is None or not self.settings.resume else self.checkpoint.load(filter, model, self.order.lag)
+        if kept is None:
+            return False
+        self.stream, beside = kept
+        for guarded in self.sinks:
+            guarded.sink.go_on(beside["sinks"].get(guarded.sink.name), cut=self.source.repeats)
+        if self.stream is None:
+            return False
+        self._filter = self.stream.filter
+        again = self.order.go_on(beside["order"], self.source.message)
+        self.order.taken(again[0])
+        for placed in again[1:]:
+            self._step(placed)
+        self.counts.of = Counter(beside["counts"])
+        self.source.remember(beside["last"])
+        self._last = self.source.message(beside["last"])._replace(position=beside["position"])
+        if self._last.position is not None:
+            self.source.go_on(self._last.position)
+        LOG.info("goes on after step %d%s.", self.stream.t, "" if self.source.repeats else "; what came since cannot be asked for again")
+        if self._budget is not None:
+            self._paced()
+        return True
+
+    def go(self, ends: Callable[[], bool]) -> None:
+        """Take messages until the source ends, or `ends` says so.
+
+        Raises:
+            MotesError: the clock of the source was set and the run is to end then, or nothing came for as long as it has patience.
+        """
+        if self.checkpoint is not None and self.stream is None:
+            self.checkpoint.begin({"sinks": self._kept_by_sinks()})
+        inbox = Inbox(self.source)
+        saved = heard = time.monotonic()
+        silence = SILENCE
+        try:
+            while not ends():
+                messages = inbox.take(POLL)
+                now = time.monotonic()
+                if messages is None:
+                    for placed in self.order.rest():
+                        self._take(placed)
+                    break
+                if not messages:
+                    silence = self._silent(now - heard, silence)
+                    continue
+                for place, message in enumerate(messages):
+                    self._last = message
+                    for placed in self._placed(message):
+                        self._take(placed)
+                    if time.monotonic() - saved > self.settings.checkpoint:
+                        self.save()
+                        saved = time.monotonic()
+                    if ends():
+                        inbox.put_back(messages[place + 1 :])
+                        break
+                # a batch may have taken long
+                heard, silence = time.monotonic(), SILENCE
+        finally:
+            inbox.close()
+            self.save()
+            for sink in self.sinks:
+                sink.close()
+
+    def _silent(self, seconds: float, told_after: float) -> float:
+        """Say that nothing comes, or end where patience does; return after how many seconds it is to be said next."""
+        if self.settings.patience and seconds > self.settings.patience:
+            refuse(f"source {self.source.name}", f"a message within {self.settings.patience:g} s", "none",
+                   "Is it sent there? Set patience = 0 to wait for ever.")  # fmt: skip
+        if seconds <= told_after:
+            return told_after
+        LOG.warning("nothing has come from %s for %.0f s.", self.source.name, seconds)
+        return 2 * told_after
+
+    @property
+    def kept_at(self) -> int | None:
+        """Step of the last checkpoint; None where there is none."""
+        return None if self.checkpoint is None else self.checkpoint.step
+
+    def save(self) -> bool:
+        """Write a checkpoint of what was taken by now, and tell whether it is there."""
+        sinks = self._kept_by_sinks()
+        if self.checkpoint is None or self.stream is None or self._last is None or not self.order.window:
+            return False
+        beside = {"counts": self.counts.kept(), "order": self.order.kept(), "last": self._last.content, "position": self._last.position,
+                  "sinks": sinks}  # fmt: skip
+        return self.checkpoint.save(self.stream, beside, len(self.order.window) - 1)
+
+    def _kept_by_sinks(self) -> dict[str, int | None]:
+        return {guarded.sink.name: guarded.kept() for guarded in self.sinks}
+
+    def _placed(self, message: Message) -> Iterable[Placed]:
+        if message.y is None:
+            self.counts.add("inputs")
+            return []
+        return self.order.take(message)
+
+    def _take(self, placed: Placed) -> None:
+        """Take a message at its place, write what came of it, and tell who watches."""
+        began = time.perf_counter()
+        if placed.anew:
+            self.stream = None
+        again = self.order.back(placed.back)
+        if placed.back:
+            assert self.stream is not None
+            self.stream.back(placed.back)
+        taken = [self._step(one) for one in [placed._replace(back=0, anew=False), *again]]
+        if not taken[0]:
+            return
+        stream = self.stream
+        assert stream is not None and stream.info is not None
+        numbers = np.asarray(_moments(stream.state, stream.info), np.float64).tolist()
+        seconds = time.perf_counter() - began
+        self.counts.add("steps")
+        record = self._record(stream, numbers, seconds, placed)
+        for sink in self.sinks:
+            sink.write(record)
+        told = Taken(stream.info, placed.message.y, self.order.window[-1].message.time, seconds, placed.back > 0)
+        for watcher in self.watchers:
+            watcher(stream, told)
+        self._steps += 1
+        if self._steps == SETTLED:
+            gc.collect()
+            gc.freeze()
+        self._paced(seconds)
+
+    def _step(self, placed: Placed) -> bool:
+        """Take a step, and tell whether its measurement could be used in any way."""
+        message = placed.message
+        y = message.y
+        try:
+            u = self._work.form.with_step(message.u, self.order.since(placed))
+            if self.stream is None:
+                self.stream = self._started(u, y)
+            else:
+                self.stream.predict(u)
+        except Unreadable as reason:
+            self.counts.add("unreadable", f"{self.source.name}: {reason}.")
+            return False
+        except MotesError as reason:
+            self.counts.add("refused", f"{reason}")
+            return False
+        try:
+            self.stream.update(y)
+        except CollapseError as reason:
+            self.counts.add("collapsed", f"{reason} The measurement is left out.")
+            self.stream.update(None)
+        except MotesError as reason:
+            self.counts.add("refused", f"{reason}")
+            if self.stream.held is None:
+                self.stream = None
+                return False
+            self.stream.update(None)
+        self.order.taken(placed)
+        return True
+
+    def _begun(self, u: Any, filter: Filter) -> Stream:
+        return Stream(self._work.key, filter, self._work.model, u, self.order.lag)
+
+    def _started(self, u: Any, y: Any) -> Stream:
+        """Begin a stream; with a budget one of as many particles as it allows."""
+        if self._filter is None:
+            self._filter = self._work.filter
+            if self._budget is not None and size_of(self._filter) is not None:
+                self._filter = pace.fitting(self._filter, partial(self._begun, u), y, u, self._budget)
+        return self._begun(u, self._filter)
+
+    def _paced(self, seconds: float | None = None) -> None:
+        if self._budget is None or self.stream is None:
+            return
+        if self._pace is None:
+            self._pace = pace.Pace(self._budget, self._compiled)
+            self._pace.ahead(self.stream.filter)
+        smaller = None if seconds is None else self._pace.taken(seconds)
+        if smaller is not None:
+            LOG.warning("budget: steps keep running late; from step %d on there are %s particles.", self.stream.t, size_of(smaller))
+            self.stream.resize(smaller)
+            self._filter = smaller
+            self.order.settle()
+            self._pace.ahead(smaller)
+
+    def _compiled(self, filter: Filter) -> None:
+        """Take three steps with a filter of another size, so that its programs are compiled."""
+        placed = self.order.window[-1]
+        message = placed.message
+        try:
+            u = self._work.form.with_step(message.u, None if placed.time is None else 0.0)
+            stream = self._begun(u, filter)
+            for _ in range(2):
+                stream.update(message.y)
+                np.asarray(_moments(stream.state, stream.info))
+                stream.predict(u)
+        except MotesError as reason:
+            LOG.debug("a smaller size cannot be compiled ahead: %s", reason)
+
+    def _record(self, stream: Stream, numbers: list[float], seconds: float, placed: Placed) -> dict[str, Any]:
+        names = stream.model.names
+        size = len(names)
+        log_evidence, ess, alarm, collapsed = numbers[2 * size :]
+        newest = self.order.window[-1].message
+        return {
+            "step": stream.t, "time": newest.time, **({} if newest.number is None else {"number": newest.number}),
+            **{f"mean {name}": number for name, number in zip(names, numbers, strict=False)},
+            **{f"sd {name}": number for name, number in zip(names, numbers[size:], strict=False)},
+            "ess": ess, "log_evidence": log_evidence, "alarm": bool(alarm), "collapsed": bool(collapsed),
+            "late": placed.back, "seconds": round(seconds, 6),
+        }  # fmt: skip

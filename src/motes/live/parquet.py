@@ -1,0 +1,86 @@
+"""Results as Parquet (package `pyarrow`, extra `io`): a folder that grows by whole files of one row group each.
+
+A Parquet file is readable only once its end is written. So each row group is a file of its own, which is there whole or not at all; what
+reads Parquet reads the folder as one table. The last file is written anew until it is full.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from motes.core.checks import need
+from motes.io.archive import whole_file
+from motes.io.files import foreign, reject
+from motes.io.unfinished import remove_leftovers
+from motes.live.sink import Sink
+
+ROWS = 10_000
+"""Rows of a row group."""
+PART = re.compile(r"part-(\d{8})\.parquet")
+
+
+class Parquet(Sink):
+    """Collects records and writes them by row groups."""
+
+    def __init__(self, path: str):
+        """Make the folder.
+
+        Raises:
+            FileError: it cannot be made, or holds something else.
+            MissingExtraError: pyarrow is not installed.
+        """
+        self.name, self._folder = path, Path(path)
+        self._arrow: Any = need("pyarrow", "io")
+        self._parquet: Any = need("pyarrow.parquet", "io")
+        with foreign(path, "a folder that can be made"):
+            self._folder.mkdir(parents=True, exist_ok=True)
+        other = next((one.name for one in self._folder.iterdir() if not one.name.startswith(".") and not PART.fullmatch(one.name)), None)
+        if other is not None:
+            reject(path, "an empty folder, or one that this wrote", f"{other} in it")
+        self._full, self._written = 0, 0
+        self._rows: list[dict[str, Any]] = []
+        self._go_on(None)
+
+    def _part(self, number: int) -> Path:
+        return self._folder / f"part-{number:08d}.parquet"
+
+    def write(self, record: dict[str, Any]) -> None:
+        """Take a record; a row group that is full is written first, and until that succeeds none is taken."""
+        if len(self._rows) >= ROWS:
+            self._flush()
+            self._full, self._rows, self._written = self._full + 1, [], 0
+        self._rows.append(record)
+
+    def _flush(self) -> None:
+        if len(self._rows) > self._written:
+            with whole_file(self._part(self._full)) as file:
+                self._parquet.write_table(self._arrow.Table.from_pylist(self._rows), file, write_page_checksum=True)
+            self._written = len(self._rows)
+
+    def kept(self) -> int | None:
+        """Write what is left over, and return how many rows there are."""
+        self._flush()
+        return self._full * ROWS + len(self._rows)
+
+    def go_on(self, kept: int | None, cut: bool) -> None:
+        """Go on behind the rows that are there, or that were there at the checkpoint."""
+        self._go_on(kept if cut else None)
+
+    def _go_on(self, rows: int | None) -> None:
+        """Begin behind so many rows, or behind all that are there."""
+        parts = sorted(int(found[1]) for one in self._folder.iterdir() if (found := PART.fullmatch(one.name)))
+        for number in parts:
+            if rows is not None and number > rows // ROWS:
+                self._part(number).unlink()
+        self._full, self._rows, self._written = (parts[-1] if parts else 0) if rows is None else rows // ROWS, [], 0
+        remove_leftovers(self._part(self._full))
+        if self._part(self._full).exists():
+            with foreign(self._part(self._full), "an undamaged Parquet file"):
+                table = self._parquet.ParquetFile(self._part(self._full), page_checksum_verification=True).read()
+            there = table.to_pylist()
+            self._rows = there if rows is None else there[: rows % ROWS]
+            self._written = len(there) if rows is None else 0
+
+    def close(self) -> None:
+        """Write what is left over."""
+        self._flush()

@@ -1,0 +1,81 @@
+"""Sources and sinks by their addresses, as a user gives them."""
+
+import sys
+from collections.abc import Sequence
+from urllib.parse import SplitResult, parse_qs, urlsplit
+
+from motes.core.checks import refuse
+from motes.live.json_lines import JSONLines, to_file
+from motes.live.lines import Lines, Serial, of_file
+from motes.live.message import Form
+from motes.live.parquet import Parquet
+from motes.live.sink import Sink
+from motes.live.source import Source
+from motes.live.udp import Datagrams
+from motes.live.zeromq import Publisher, Subscription
+
+SOURCES = '"-" for standard input, a file of JSON lines, udp://HOST:PORT, tcp://HOST:PORT or ipc://PATH (ZeroMQ), or serial://DEVICE?baud=N'
+SINKS = '"-" for standard output, a file of JSON lines, a folder NAME.parquet, or tcp://HOST:PORT or ipc://PATH (ZeroMQ)'
+
+
+def source_at(address: str, form: Form) -> Source:
+    """Open a source of text.
+
+    Raises:
+        MotesError: the address is none, is in use, or cannot be read.
+    """
+    if address == "-":
+        return Lines("standard input", form, sys.stdin.fileno())
+    kind, host, port, parts = _taken_apart("source", address, SOURCES)
+    if kind == "udp":
+        if host is None or port is None:
+            refuse(f"source {address}", "udp://HOST:PORT, such as udp://127.0.0.1:5005", "no host or port")
+        return Datagrams(address, form, host, port)
+    if kind in ("tcp", "ipc"):
+        return Subscription(address, form, address)
+    if kind == "serial":
+        baud = parse_qs(parts.query).get("baud", ["9600"])[0]
+        if not baud.isdecimal():
+            refuse(f"source {address}", "a number after baud=", baud[:40])
+        return Serial(address, form, parts.netloc + parts.path, int(baud))
+    if kind:
+        refuse(f"source {address}", SOURCES, f"{kind}://")
+    return of_file(address, form)
+
+
+def sink_at(address: str) -> Sink:
+    """Open a sink.
+
+    Raises:
+        MotesError: the address is none, is in use, or cannot be written.
+    """
+    if address == "-":
+        return JSONLines("standard output", sys.stdout.fileno())
+    kind = _taken_apart("sink", address, SINKS)[0]
+    if kind in ("tcp", "ipc"):
+        return Publisher(address, address)
+    if kind:
+        refuse(f"sink {address}", SINKS, f"{kind}://")
+    return Parquet(address) if address.rstrip("/").endswith(".parquet") else to_file(address)
+
+
+def sinks_at(addresses: Sequence[str]) -> list[Sink]:
+    """Open several sinks; where one cannot be opened, none is left open."""
+    found: list[Sink] = []
+    try:
+        for address in addresses:
+            found.append(sink_at(address))
+    except Exception:
+        for sink in found:
+            sink.close()
+        raise
+    return found
+
+
+def _taken_apart(what: str, address: str, expected: str) -> tuple[str, str | None, int | None, SplitResult]:
+    """Return kind, host, port and all of an address; a path has no kind."""
+    try:
+        parts = urlsplit(address)
+        return (parts.scheme if "://" in address else ""), parts.hostname, parts.port, parts
+    except ValueError as reason:
+        refuse(f"{what} {address[:80]}", expected, str(reason))

@@ -1,0 +1,65 @@
+"""Measurements that were recorded, one by one: at their own speed, faster, or as fast as they are taken."""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from motes.filters.data import steps_of
+from motes.live.message import Message
+from motes.live.source import Source
+
+TOGETHER = 100
+"""Messages that are handed on at a time where nothing sets the pace."""
+
+
+class Replay(Source):
+    """The rows of a recording, whatever file they were read from."""
+
+    waits = is_over = repeats = True
+
+    def __init__(self, name: str, ys: Any, inputs: Any = None, times: Any = None, speed: float = 1.0):
+        """Take measurements and inputs, time axis first.
+
+        Args:
+            name: of what was recorded.
+            ys: measurements.
+            inputs: of the model, or None.
+            times: seconds, `(t,)`; None where steps are only numbered, and nothing sets the pace.
+            speed: how many times as fast; 0 for as fast as they are taken.
+        """
+        super().__init__(name)
+        self._rows = jax.tree.map(np.asarray, (ys, inputs))
+        self._steps = steps_of(ys)
+        self._times = None if times is None else np.asarray(times, np.float64)
+        self._speed, self._at = (0.0 if times is None else speed), 0
+        self._began: float | None = None
+
+    def message(self, content: Any) -> Message:
+        """Return the message of a row."""
+        row = int(content)
+        y, u = jax.tree.map(lambda leaf: leaf[row], self._rows)
+        return Message(row, y, u, None if self._times is None else float(self._times[row]), position=row + 1)
+
+    def read(self, timeout: float) -> Sequence[Message] | None:
+        """Return the rows whose time has come."""
+        if self._at >= self._steps:
+            return None
+        begin = self._at
+        if self._times is None or self._speed == 0:
+            self._at = min(self._steps, begin + TOGETHER)
+        else:
+            now = time.monotonic()
+            began = now - self._times[begin] / self._speed if self._began is None else self._began
+            self._began, due = began, began + self._times / self._speed
+            self._at = max(begin, int(np.searchsorted(due, now, "right")))
+            if self._at == begin:
+                time.sleep(min(timeout, max(0.0, due[begin] - now)))
+                return []
+        return [self.message(row) for row in range(begin, self._at)]
+
+    def go_on(self, position: int) -> None:
+        """Begin at a row."""
+        self._at = position

@@ -1,0 +1,100 @@
+"""Where results go, step by step: what a sink is, and how its failures are told once while the filter goes on."""
+
+import json
+import math
+import time
+from abc import ABC, abstractmethod
+from typing import Any
+
+from motes.core.checks import MotesError
+from motes.live.counts import LOG
+
+AGAIN = 10.0
+"""Seconds after which a sink that failed is tried again."""
+
+
+class Sink(ABC):
+    """Where the record of each step goes.
+
+    Attributes:
+        name: as the user gave it.
+    """
+
+    name: str
+
+    @abstractmethod
+    def write(self, record: dict[str, Any]) -> None:
+        """Take the record of a step: numbers, truth values and None by name.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+
+    def kept(self) -> int | None:
+        """Return how far what was written is safe, after seeing to that all of it is; None where nothing is kept."""
+        return None
+
+    def go_on(self, kept: int | None, cut: bool) -> None:  # noqa: B027 (most keep nothing)
+        """Begin where a checkpoint was; with `cut` leave out what was written after it, since it comes again."""
+
+    def close(self) -> None:  # noqa: B027 (some have nothing to close)
+        """Write what is left, and give back what is open."""
+
+
+class Guarded:
+    """A sink whose failures are told in one line, counted, and never reach the filter.
+
+    Attributes:
+        sink: the sink.
+        lost: records that it did not take.
+    """
+
+    def __init__(self, sink: Sink):
+        """Guard a sink."""
+        self.sink, self.lost = sink, 0
+        self._until, self._missing, self._fails = 0.0, 0, False
+
+    def write(self, record: dict[str, Any]) -> None:
+        """Hand on a record, unless the sink failed a moment ago."""
+        if self._missing and time.monotonic() < self._until:
+            self._missing, self.lost = self._missing + 1, self.lost + 1
+            return
+        try:
+            self.sink.write(record)
+        except BrokenPipeError:
+            # nobody reads any more
+            raise
+        except (OSError, MotesError) as reason:
+            self._failed(reason)
+            self._missing, self.lost = self._missing + 1, self.lost + 1
+            return
+        if self._missing:
+            LOG.warning("sink %s: works again; %d records are missing.", self.sink.name, self._missing)
+            self._missing, self._fails = 0, False
+
+    def kept(self) -> int | None:
+        """Return how far it is safe; None where it fails."""
+        try:
+            return self.sink.kept()
+        except (OSError, MotesError) as reason:
+            self._failed(reason)
+            return None
+
+    def close(self) -> None:
+        """Close the sink."""
+        try:
+            self.sink.close()
+        except (OSError, MotesError) as reason:
+            self._failed(reason)
+
+    def _failed(self, reason: Exception) -> None:
+        if not self._fails:
+            LOG.warning("sink %s: %s; the filter goes on, and it is tried again every %g s.", self.sink.name,
+                        getattr(reason, "strerror", None) or str(reason).rstrip("."), AGAIN)  # fmt: skip
+        self._until, self._fails = time.monotonic() + AGAIN, True
+
+
+def line_of(record: dict[str, Any]) -> bytes:
+    """Return a record as one line of JSON, without its end; numbers that are not finite become null."""
+    found = {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in record.items()}
+    return json.dumps(found, allow_nan=False).encode()
