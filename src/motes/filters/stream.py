@@ -208,6 +208,11 @@ class Stream:
         return self._held
 
     @property
+    def held(self) -> Packed | None:
+        """What the last `update` left (a `Carry`, see `Packed.whole`), which never changes: other threads may look at it; None before that."""
+        return self._held
+
+    @property
     def t(self) -> int:
         """Index of the present step."""
         return 0 if self._held is None else int(self._held.whole().step) + len(self._pending)
