@@ -209,7 +209,7 @@ class Stream:
 
     @property
     def held(self) -> Packed | None:
-        """What the last `update` left (a `Carry`, see `Packed.whole`), which never changes: other threads may look at it; None before that."""
+        """What the last `update` left, a packed `Carry` that never changes: other threads may look at it; None before the first."""
         return self._held
 
     @property

@@ -125,6 +125,10 @@ const motesCloud = (function () {
         pen.drawImage(picture, across(e[0]), up(e[3]), across(e[1]) - across(e[0]), up(e[2]) - up(e[3]));
       }
       scene.marks.forEach(function (mark) { marks(pen, look, mark, across, up); });
+      if (scene.moving && one.moving.length) {
+        const places = scene.moving.shape === "line" ? one.moving.concat([one.moving[0]]) : one.moving;
+        marks(pen, look, { shape: scene.moving.shape, places: places }, across, up);
+      }
     }
     if (one.axes[0] < 0 && ways.sd[1]) { band(pen, look, ways, across, up); }
     line(pen, ways.truth, across, up, look.truth, look.halo, 2.4);

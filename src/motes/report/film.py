@@ -26,12 +26,14 @@ class Seen(NamedTuple):
         cov: `(x, x)`.
         points: `(x, m)`, or None of a law without particles.
         log_weights: of the points, `(m,)`, or None.
+        moving: places that the law knows, `(l, 2)`, or None.
     """
 
     mean: np.ndarray
     cov: np.ndarray
     points: np.ndarray | None = None
     log_weights: np.ndarray | None = None
+    moving: np.ndarray | None = None
 
 
 class Frame(NamedTuple):
@@ -49,6 +51,7 @@ class Frame(NamedTuple):
         cov: `(k, k)`.
         truth: `(k,)`, NaN where it is not known.
         picture: JPEG of what stands behind it at this moment alone, or empty.
+        moving: places that the law knows, `(l, 2)`.
     """
 
     number: int
@@ -62,6 +65,7 @@ class Frame(NamedTuple):
     cov: np.ndarray
     truth: np.ndarray
     picture: bytes = b""
+    moving: np.ndarray | None = None
 
     @property
     def size(self) -> int:
@@ -83,7 +87,7 @@ class Frame(NamedTuple):
         """
         now = self.step if np.isnan(self.time) else self.time
         header: dict[str, Any] = {"number": self.number, "step": self.step, "time": number(self.time), "count": self.points.shape[1],
-                                  "axes": list(axes), "low": [], "high": [], "mean": [], "truth": []}  # fmt: skip
+                                  "axes": list(axes), "moving": self._moved(), "low": [], "high": [], "mean": [], "truth": []}  # fmt: skip
         parts = []
         for axis in axes:
             across = (now, now, now, now) if axis < 0 else (self.low[axis], self.high[axis], self.mean[axis], self.truth[axis])
@@ -94,6 +98,10 @@ class Frame(NamedTuple):
         cov = [0.0 if min(pair) < 0 else self.cov[pair] for pair in ((i, i), (i, j), (j, j))]
         header["cov"] = [number(value) for value in cov]
         return header, b"".join([*(part.astype("<u2").tobytes() for part in parts), self.weights.tobytes()])
+
+    def _moved(self) -> list[list[float]]:
+        places = np.zeros((0, 2)) if self.moving is None else self.moving[np.isfinite(self.moving).all(axis=1)]
+        return [[float(f"{value:.6g}") for value in place] for place in places]
 
 
 def number(value: Any) -> float | None:
@@ -129,7 +137,7 @@ def frame(which: tuple[int, int, float], seen: Seen, scene: Scene, u: Any = None
     whole = np.round((points - low[:, None]) / reach[:, None] * LARGEST).astype(np.uint16)
     there = scene.truth is not None and step < len(scene.truth)
     truth = np.asarray(scene.truth[step], np.float64) if there else np.full(len(scene.names), np.nan)  # type: ignore[index]
-    return Frame(which[0], step, which[2], whole, weights, low, high, mean, cov, truth, picture)
+    return Frame(which[0], step, which[2], whole, weights, low, high, mean, cov, truth, picture, seen.moving)
 
 
 def _drawn(mean: np.ndarray, cov: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
@@ -149,6 +157,8 @@ def _drawn(mean: np.ndarray, cov: np.ndarray, seen: Seen) -> tuple[np.ndarray, n
 def error_of(one: Frame, scene: Scene) -> float:
     """Return the distance of the mean from the truth in the coordinates that are judged; NaN where it is not known."""
     judged = list(scene.judged)
+    if not judged:
+        return float("nan")
     off = one.mean[judged] - one.truth[judged]
     turned = [place for place, axis in enumerate(judged) if axis in scene.angles]
     if turned:

@@ -27,6 +27,20 @@ class Marks(NamedTuple):
     shape: Literal["triangle", "cross", "line"] = "triangle"
 
 
+class Moving(NamedTuple):
+    """Places that the law itself knows, such as landmarks.
+
+    Attributes:
+        label: what they are.
+        of: gives them, of a law, along the first two coordinates, `(m, 2)`; traced by JAX.
+        shape: how they are drawn; a "line" goes through them and back to the first.
+    """
+
+    label: str
+    of: Callable[[Any], Any]
+    shape: Literal["triangle", "cross", "line"] = "cross"
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
     """Coordinates in which a law is drawn, and what is drawn with it.
@@ -39,6 +53,7 @@ class Scene:
             picture over, as coordinates of pictures ask.
         picture: behind them, uint8 `(height, width, 3)`, top row first; it fills the extent.
         marks: places that stay.
+        moving: places that the law knows, or None.
         truth: true coordinates `(t, k)`, NaN where they are not known; None where none are.
         angles: coordinates that are angles in radians.
         judged: coordinates, of one unit, whose distance from the truth is the error.
@@ -51,6 +66,7 @@ class Scene:
     extent: tuple[float, float, float, float] | None = None
     picture: np.ndarray | None = None
     marks: tuple[Marks, ...] = ()
+    moving: Moving | None = None
     truth: np.ndarray | None = None
     angles: tuple[int, ...] = ()
     judged: tuple[int, ...] = (0, 1)
@@ -70,6 +86,7 @@ class Scene:
                  for one in self.marks]  # fmt: skip
         extent = None if self.extent is None else [float(side) for side in self.extent]
         return {"names": list(self.names), "units": units, "extent": extent, "marks": marks, "title": self.title,
+                "moving": None if self.moving is None else {"label": self.moving.label, "shape": self.moving.shape},
                 "judged": [self.names[place] for place in self.judged if place < len(self.names)],
                 "picture": self.picture is not None, "truth": self.truth is not None}  # fmt: skip
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from motes.core import checks
 from motes.filters.stream import Stream
+from motes.report.run import run_page
 from motes.report.scene import Scene, scene_of
 from motes.watch.answers import Answers
 from motes.watch.guard import Guard, is_any, is_loopback
@@ -64,6 +65,10 @@ class Page:
         self._server.answers.report = report
         self._server.answers.state = state
 
+    def report(self, title: str = "Run") -> str:
+        """Return a web page of what was shown so far, in one file that needs no network."""
+        return run_page(self._recorder.film(title))
+
     def close(self) -> None:
         """Take the page off; the filter is not touched."""
         self._server.close()
@@ -94,7 +99,7 @@ def watch(
         budget: seconds that a step may take, to be held against those that it took.
         host: address to listen at; any but the loopback lets others on the network ask for it.
         port: to listen at; a free one if 0.
-        title: over the page; the filter if empty.
+        title: over the page; the kind of filter if empty.
 
     Raises:
         MotesError: scene or truth do not fit the stream, or the port cannot be used.
@@ -114,7 +119,7 @@ def watch(
     listener = listening(host, port)
     guard = Guard(host, listener.getsockname()[1])
     recorder = Recorder(stream, scene, budget)
-    return Page(recorder, guard, Server(listener, guard, Answers(recorder, title or repr(stream.filter))))
+    return Page(recorder, guard, Server(listener, guard, Answers(recorder, title or type(stream.filter).__name__)))
 
 
 def listening(host: str, port: int) -> socket.socket:

@@ -6,6 +6,7 @@ Of a step that is left in the slot nothing is computed on the filter's thread, n
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ from motes.filters.info import Info
 from motes.filters.keep import moments
 from motes.filters.stream import Stream
 from motes.report.film import KEPT_POINTS, LEADING, MOST_POINTS, Frame, Reel, Seen, frame, row
+from motes.report.run import MOMENTS, Film, columns_of
 from motes.report.scene import Scene, encoded
 
 WAITING = 20_000
@@ -51,13 +53,13 @@ class Step(NamedTuple):
     time: float
 
 
-@partial(jax.jit, static_argnames="most")
-def _seen(law: Any, most: int) -> dict[str, Any]:
-    found = law.weighted_points()
+@partial(jax.jit, static_argnames=("most", "moving"))
+def _seen(law: Any, most: int, moving: Callable[[Any], Any] | None) -> dict[str, Any]:
+    found, places = law.weighted_points(), {} if moving is None else {"moving": moving(law)}
     if found is None:
-        return moments(law)
+        return {**moments(law), **places}
     every = -(-found[0].shape[1] // most)
-    return {**moments(law), "points": found[0][:, ::every], "log_weights": found[1][::every]}
+    return {**moments(law), **places, "points": found[0][:, ::every], "log_weights": found[1][::every]}
 
 
 class Recorder:
@@ -75,7 +77,7 @@ class Recorder:
         self.newest: Frame | None = None
         self.findings: tuple[Finding, ...] = ()
         self.told: deque[tuple[int, str]] = deque(maxlen=TOLD)
-        self.columns = (*LEADING, *(f"{name} {what}" for what in ("mean", "sd", "truth") for name in scene.names))
+        self.columns = columns_of(scene)
         self.rows = np.zeros((MOST_ROWS, len(self.columns)))
         self.count, self.generation, self._every, self._skipped = 0, 0, 1, 0
         self.late = self.taken = 0
@@ -101,7 +103,8 @@ class Recorder:
     def _make(self, slot: tuple[Packed, Step, Any]) -> None:
         held, last, picture = slot
         carry: Carry = held.whole()
-        found = {name: np.asarray(value) for name, value in _seen(carry.state, MOST_POINTS).items()}
+        moving = None if self.scene.moving is None else self.scene.moving.of
+        found = {name: np.asarray(value) for name, value in _seen(carry.state, MOST_POINTS, moving).items()}
         steps = []
         while self._steps:
             steps.append(self._steps.popleft())
@@ -115,8 +118,9 @@ class Recorder:
         seconds = np.array([step.seconds for step in steps])
         infos = [step.info for step in steps]
         timed = seconds[np.isfinite(seconds)]
-        told = row(made, self.scene, (float(np.median(timed)) if timed.size else np.nan, min(float(one.ess) for one in infos),
-                                      float(np.mean([one.log_evidence for one in infos])), any(bool(one.alarm) for one in infos)))  # fmt: skip
+        usual = float(np.median(timed)) if timed.size else np.nan
+        evidences, rings = float(np.mean([one.log_evidence for one in infos])), any(bool(one.alarm) for one in infos)
+        told = row(made, self.scene, (usual, min(float(one.ess) for one in infos), evidences, rings))
         evidence = float(carry.evidence.value()) if self.stream.filter.has_evidence else float("nan")
         with self.lock:
             self.newest, self.log_likelihood = made, evidence
@@ -137,6 +141,17 @@ class Recorder:
             self.count, self.generation, self._every = MOST_ROWS // 2, self.generation + 1, 2 * self._every
         self.rows[self.count] = told
         self.count += 1
+
+    def film(self, title: str) -> Film:
+        """Return what a report shows of all this."""
+        with self.lock:
+            facts = [("filter", self.label), ("steps", str(self.taken))]
+            if np.isfinite(self.log_likelihood):
+                facts.append(("log likelihood", f"{self.log_likelihood:.6g}"))
+            if self.budget is not None:
+                facts.append(("late steps", f"{self.late} took longer than {1e3 * self.budget:g} ms"))
+            frames, rows = self.reel.chosen(MOMENTS), self.rows[: self.count].copy()
+            return Film(title=title, facts=facts, scene=self.scene, frames=frames, rows=rows, findings=self.findings)
 
     def judge(self, carry: Carry) -> None:
         """Say in words what is wrong with the last steps, as `diagnose` does."""

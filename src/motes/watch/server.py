@@ -36,15 +36,16 @@ OFTEN = 1 / 80
 """Seconds between two answers to one page, at the least."""
 
 FILES = {"page.js": "text/javascript", "page.css": "text/css", "cloud.js": "text/javascript", "uPlot.iife.min.js": "text/javascript",
-         "uPlot.min.css": "text/css"}  # fmt: skip
-FOLDERS = {"cloud.js": "motes.report", "uPlot.iife.min.js": "motes.report/uplot", "uPlot.min.css": "motes.report/uplot"}
+         "uPlot.min.css": "text/css", "colors.css": "text/css"}  # fmt: skip
+FOLDERS = {"cloud.js": "motes.report", "colors.css": "motes.report",
+           "uPlot.iife.min.js": "motes.report/uplot", "uPlot.min.css": "motes.report/uplot"}  # fmt: skip
 REFUSED = "Open the link with its token, as it was printed: the page is for who started it.\n"
 
 
 def read(name: str) -> str:
     """Return a file of the page."""
-    package, _, folder = FOLDERS.get(name, "motes.watch/static").partition("/")
-    return (files(package) / folder / name if folder else files(package) / name).read_text("utf-8")
+    package, *folders = FOLDERS.get(name, "motes.watch/static").split("/")
+    return files(package).joinpath(*folders, name).read_text("utf-8")
 
 
 class Server:
@@ -62,10 +63,12 @@ class Server:
         self._cost = 0.0
         self._news = asyncio.Event()
         logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
-        config = uvicorn.Config(self._checked, interface="asgi3", log_config=None, access_log=False, http="h11", ws="websockets-sansio", loop="asyncio",
-                                ws_per_message_deflate=False, ws_max_size=ASKED, ws_max_queue=4, lifespan="off", proxy_headers=False,
-                                server_header=False, limit_concurrency=CONNECTIONS, timeout_graceful_shutdown=1,
-                                h11_max_incomplete_event_size=1 << 14)  # fmt: skip
+        config = uvicorn.Config(
+            self._checked, interface="asgi3", http="h11", loop="asyncio", lifespan="off", ws="websockets-sansio",
+            log_config=None, access_log=False, proxy_headers=False, server_header=False, timeout_graceful_shutdown=1,
+            ws_per_message_deflate=False, ws_max_size=ASKED, ws_max_queue=4, limit_concurrency=CONNECTIONS,
+            h11_max_incomplete_event_size=1 << 14,
+        )  # fmt: skip
         self._server = uvicorn.Server(config)
         self._routes = self._app()
         self._listener = listener
@@ -121,7 +124,7 @@ class Server:
             wrong = PlainTextResponse("Host: expected the address that this page listens at.\n", 403)
         elif scope["type"] == "websocket" and not self.guard.knows_origin(headers):
             wrong = PlainTextResponse("Origin: expected the page itself.\n", 403)
-        elif not self.guard.is_known(headers) and not (scope["type"] == "http" and scope["path"] == "/" and b"token=" in scope["query_string"]):
+        elif not self.guard.is_known(headers) and not _brings_token(scope):
             wrong = PlainTextResponse(REFUSED, 401)
         if wrong is None:
             await self._routes(scope, receive, self._with_policy(send, headers["host"]))
@@ -134,8 +137,8 @@ class Server:
 
     def _with_policy(self, send: Callable[[Any], Awaitable[None]], host: str) -> Callable[[Any], Awaitable[None]]:
         frames = "http://localhost:* http://127.0.0.1:* http://[::1]:*" if self.framed else "'none'"
-        policy = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; "
-                  f"connect-src 'self' ws://{host}; frame-ancestors {frames}")  # fmt: skip
+        policy = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; base-uri 'none'; "
+                  f"form-action 'none'; connect-src 'self' ws://{host}; frame-ancestors {frames}")  # fmt: skip
         more = [(b"content-security-policy", policy.encode()), (b"referrer-policy", b"no-referrer"), (b"cache-control", b"no-store"),
                 (b"x-content-type-options", b"nosniff"), (b"cross-origin-resource-policy", b"same-origin")]  # fmt: skip
 
@@ -216,6 +219,10 @@ class Server:
             return
         finally:
             self._pages.pop(page, None)
+
+
+def _brings_token(scope: Any) -> bool:
+    return scope["type"] == "http" and scope["path"] == "/" and scope["query_string"].startswith(b"token=")
 
 
 async def _closed(page: Any) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from motes.applications.aircraft import scenario
 from motes.applications.aircraft.model import Flight, Radar, jumping
-from motes.applications.aircraft.pictures import track_figure
+from motes.applications.aircraft.pictures import plane, track_figure
 from motes.applications.aircraft.settings import Settings
 from motes.applications.aircraft.world import flown_reports
 from motes.applications.interface import Job, Score
@@ -23,6 +23,7 @@ from motes.filters.jump_markov import JumpMarkovFilter
 from motes.io.result_table import Table
 from motes.laws.observed import value_of
 from motes.plotting.plot import plot
+from motes.report.scene import Scene
 
 FILE = "reports.csv"
 
@@ -92,6 +93,10 @@ class AircraftJob(Job):
     def verdict(self, history: History) -> str:
         """Say nothing: the table tells all."""
         return ""
+
+    def scene(self) -> Scene:
+        """Return the plane in kilometers, with the radar; the states can be chosen, too."""
+        return plane(tuple(self.model.names), np.asarray(self.track.truth), "Aircraft")
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the plane with error and turns, and the states."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from motes.applications.aircraft.pictures import plane
 from motes.applications.interface import Score
 from motes.applications.target_tracking.shared import LOST, RadarJob
 from motes.applications.target_tracking.world import range_rate
@@ -14,6 +15,7 @@ from motes.core.record import replace as with_policy
 from motes.filters.history import History
 from motes.filters.run import run
 from motes.models.state_space import StateSpaceModel
+from motes.report.scene import Scene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,6 +75,10 @@ class TrackingJob(RadarJob):
         said = [f"{scores[0].value:.0f} m off while hidden, {'lost' if (scores[2].value or 0) > LOST else 'not lost'}" for scores in found]
         return (f"The radar hears nothing of a target whose range rate is below {self.radar.notch:g} m/s. "
                 f"A tracker that knows it: {said[0]}. One that expects {self.radar.detection:g} everywhere: {said[1]}.")  # fmt: skip
+
+    def scene(self) -> Scene:
+        """Return the plane in kilometers, with the radar."""
+        return plane(tuple(self.model.names), None if self.truth is None else np.asarray(self.truth), "Radar")
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the plane, range rate and errors, once as a picture and once as an animation."""

@@ -124,7 +124,7 @@
     if (scene.timed) { rows.push(["time", short(shown.time, 7) + " s"]); }
     rows.push(["effective size", short(at("ess"))]);
     if (answer.log_likelihood !== null) { rows.push(["log evidence, all", short(answer.log_likelihood, 6)]); }
-    if (scene.truth) { rows.push(["error of " + scene.judged.join(", "), short(at("error")) + " " + unit()]); }
+    if (scene.truth && scene.judged.length) { rows.push(["error of " + scene.judged.join(", "), short(at("error")) + " " + unit()]); }
     const seconds = at("seconds");
     if (seconds !== null) { rows.push(["time per step", short(1e3 * seconds, 3) + " ms" + (scene.budget ? " of " + short(1e3 * scene.budget, 3) : "")]); }
     if (scene.budget) { rows.push(["late steps", answer.late + " of " + answer.taken]); }
@@ -206,10 +206,10 @@
     charts.forEach(function (one) { one.plot.destroy(); });
     charts = [];
     fill(byId("charts"), []);
-    if (scene.truth) { chart("Error of " + scene.judged.join(", ") + (unit() ? ", " + unit() : ""), ["error"], true); }
+    if (scene.truth && scene.judged.length) { chart("Error of " + scene.judged.join(", ") + (unit() ? ", " + unit() : ""), ["error"], true); }
     chart("Effective sample size", ["ess"], false);
     chart("Log evidence of a step", ["log_evidence"], false);
-    chart("Time per step, ms", ["seconds"], false, 1e3, scene.budget ? 1e3 * scene.budget : 0);
+    chart("Time per step, ms", ["seconds"], true, 1e3, scene.budget ? 1e3 * scene.budget : 0);
     if (columns.length) { plots(); }
   }
 
@@ -262,7 +262,7 @@
   function legend() {
     const found = [["cloud", "particle"], ["mean", "mean, way and two-sigma ellipse"]];
     if (scene.truth) { found.push(["truth", "truth"]); }
-    const labels = scene.marks.map(function (mark) { return mark.label; });
+    const labels = scene.marks.concat(scene.moving ? [scene.moving] : []).map(function (mark) { return mark.label; });
     if (labels.length) { found.push(["mark", labels.join(", ")]); }
     fill(byId("legend"), found.map(function (one) {
       const item = element("li", "");
@@ -275,6 +275,8 @@
 
   function start(found) {
     scene = found;
+    // a map is looked at as a whole, a plane without ends where the cloud is
+    view.follow = byId("follow").checked = !scene.extent;
     document.title = scene.run;
     byId("title").textContent = scene.title ? scene.title + ": " + scene.run : scene.run;
     byId("title").title = scene.filter;
