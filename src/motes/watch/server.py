@@ -35,6 +35,7 @@ BEAT = 1.0
 OFTEN = 1 / 80
 """Seconds between two answers to one page, at the least."""
 
+LOG = logging.getLogger(__name__)
 FILES = {"page.js": "text/javascript", "page.css": "text/css", "cloud.js": "text/javascript", "uPlot.iife.min.js": "text/javascript",
          "uPlot.min.css": "text/css", "colors.css": "text/css"}  # fmt: skip
 FOLDERS = {"cloud.js": "motes.report", "colors.css": "motes.report",
@@ -62,7 +63,6 @@ class Server:
         self._seen: dict[int, float] = {}
         self._cost = 0.0
         self._news = asyncio.Event()
-        logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
         config = uvicorn.Config(
             self._checked, interface="asgi3", http="h11", loop="asyncio", lifespan="off", ws="websockets-sansio",
             log_config=None, access_log=False, proxy_headers=False, server_header=False, timeout_graceful_shutdown=1,
@@ -93,9 +93,13 @@ class Server:
         swept = time.monotonic()
         while True:
             began = time.perf_counter()
-            if self.answers.recorder.turn():
-                self._news.set()
-                self._news = asyncio.Event()
+            try:
+                if self.answers.recorder.turn():
+                    self._news.set()
+                    self._news = asyncio.Event()
+            except Exception:
+                # what cannot be drawn is not drawn: the filter goes on, and the page with it
+                LOG.exception("a moment could not be drawn")
             taken = time.perf_counter() - began
             if time.monotonic() - swept > 1:
                 self._sweep()
