@@ -64,7 +64,8 @@ def carried_out(wish: Asked, written: Any = None) -> None:
     name, filter = next(iter(wish.filters(job, "filter", "filters").items()))
     if job.about():
         print(job.about())
-    page = _shown(job, filter, wish, budget)
+    page = _page(job, filter, wish, budget)
+    _run(job, filter, settings, page)
     folder = running.made_folder(settings.out)
     report = page.report(f"{wish.application.name}: {name}")
     running.write_text(folder / "report.html", report)
@@ -76,35 +77,38 @@ def carried_out(wish: Asked, written: Any = None) -> None:
     page.close()
 
 
-def _shown(job: "Job", filter: "Filter", wish: Asked, budget: float | None) -> "Page":
-    """Run a filter over what comes in, at the rate that is asked for, and show each step."""
-    from motes.watch.page import opened, watch
+def _page(job: "Job", filter: "Filter", wish: Asked, budget: float | None) -> "Page":
+    """Open the page, which waits for the first step, and tell where it is."""
+    from motes.watch.page import opened, opened_page
+    from motes.watch.recorder import Recorder
 
     settings = wish.settings
-    moments = job.moments()
-    with _heard(PATIENCE) as heard:
-        first = next(moments, None)
-        if first is None:
-            refuse("data", "at least one measurement", "none")
-        heard()
-        stream = job.streamed(settings.seed, filter, first.u)
-        page = watch(stream, job.scene(), budget=budget, host=settings.host, port=settings.port, title=wish.application.name)
-        print(f"Watch it at {page.address}", flush=True)
-        if settings.browser and not opened(page.address):
-            print("motes watch: no browser was found here; open the link in one.", file=sys.stderr)
-        due = time.perf_counter()
-        moment = first
-        while moment is not None:
-            began = time.perf_counter()
-            stream.update(moment.y)
-            page.show(time.perf_counter() - began, moment.time, moment.picture)
-            due = max(due + (1 / settings.rate if settings.rate else 0), time.perf_counter() - 1)
-            time.sleep(max(0.0, due - time.perf_counter()))
-            moment = next(moments, None)
-            heard()
-            if moment is not None:
-                stream.predict(moment.u)
+    page = opened_page(Recorder(job.worn(filter), job.model, job.scene(), budget), settings.host, settings.port, wish.application.name)
+    print(f"Watch it at {page.address}", flush=True)
+    if settings.browser and not opened(page.address):
+        print("motes watch: no browser was found here; open the link in one.", file=sys.stderr)
     return page
+
+
+def _run(job: "Job", filter: "Filter", settings: Any, page: "Page") -> None:
+    """Run a filter over what comes in, at the rate that is asked for, and show each step."""
+    least = 1 / settings.rate if settings.rate else 0
+    due = time.perf_counter()
+    with _heard(PATIENCE) as heard:
+        for moment in job.moments():
+            heard()
+            if page.stream is None:
+                page.stream = job.streamed(settings.seed, filter, moment.u)
+            else:
+                page.stream.predict(moment.u)
+            began = time.perf_counter()
+            page.stream.update(moment.y)
+            page.show(time.perf_counter() - began, moment.time, moment.picture)
+            # who comes late makes up for it within a second, and not by haste
+            due = max(due + least, time.perf_counter() - 1)
+            time.sleep(max(0.0, due - time.perf_counter()))
+    if page.stream is None:
+        refuse("data", "at least one measurement", "none")
 
 
 @contextmanager

@@ -196,7 +196,7 @@ const motesCloud = (function () {
     pen.lineWidth = 2;
     if (mark.shape === "line") {
       line(pen, [mark.places.map(function (p) { return p[0]; }), mark.places.map(function (p) { return p[1]; })], across, up, look.mark,
-        look.halo, 1);
+        look.halo, 2);
       return;
     }
     mark.places.forEach(function (place) {

@@ -71,7 +71,7 @@
     document.getElementById("charts").append(element("h3", title), place);
     const plot = new uPlot({
       width: Math.max(280, place.clientWidth), height: 180, scales: { x: { time: false }, y: { distr: logarithmic ? 3 : 1 } },
-      axes: [axis, Object.assign({ size: 64 }, axis)], legend: { show: false },
+      axes: [axis, Object.assign({ size: 64 }, axis, logarithmic ? { grid: { show: false } } : {})], legend: { show: false },
       series: [{ label: "step" }, { label: title, stroke: style("cloud"), width: 1.5, points: { show: false } }]
     }, [column(scene.timed ? "time" : "step"), values], place);
     drawings.push(function () { plot.setSize({ width: Math.max(280, place.clientWidth), height: 180 }); });

@@ -90,7 +90,8 @@ class Answers:
                 "rows": {"generation": recorder.generation, "from": begin, "count": recorder.count - begin},
                 "reel": recorder.reel.reach, "state": self.state, "report": self.report is not None, "late": recorder.late,
                 "taken": recorder.taken, "log_likelihood": _finite(recorder.log_likelihood),
-                "findings": [{"name": one.name, "text": f"{one.text} {one.advice}", "serious": bool(one.serious)} for one in recorder.findings],
+                "findings": [{"name": one.name, "text": f"{one.text} {one.advice}", "serious": bool(one.serious)}
+                             for one in recorder.findings],
                 "told": list(recorder.told),
             }  # fmt: skip
         body = b""

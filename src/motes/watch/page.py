@@ -24,15 +24,16 @@ HEIGHT = 760
 
 
 class Page:
-    """A page at work: `show` it each step.
+    """A page at work: `show` it each step; or give it to a live run as a watcher, which calls it.
 
     Attributes:
-        address: link to it, with the token that lets its bearer look.
+        stream: the stream that is shown; None before a live run has begun.
     """
 
     def __init__(self, recorder: Recorder, guard: Guard, server: Server):
         """Take its parts; see `watch`."""
         self._recorder, self._guard, self._server = recorder, guard, server
+        self.stream: Stream | None = None
 
     @property
     def address(self) -> str:
@@ -51,9 +52,17 @@ class Page:
             time: of the measurement, seconds; steps are only numbered where none is given.
             picture: what was seen, uint8 `(height, width, 3)`, to stand behind the cloud.
         """
-        info = self._recorder.stream.info
-        if info is not None:
-            self._recorder.leave(Step(info, np.nan if seconds is None else seconds, np.nan if time is None else time), picture)
+        stream = self.stream
+        if stream is None:
+            checks.refuse("show", "a page of a stream, as mo.watch(stream) opens it", "one of none yet")
+        if stream.info is not None:
+            step = Step(stream.info, np.nan if seconds is None else seconds, np.nan if time is None else time)
+            self._recorder.leave(stream, step, picture)
+
+    def __call__(self, stream: Stream, taken: Any) -> None:
+        """Show what a live run tells those who watch it: the stream, and the seconds and the time of its newest step."""
+        self.stream = stream
+        self.show(taken.seconds, taken.time)
 
     def end(self, state: str = "ended", report: str | None = None) -> None:
         """Say on the page that the run has ended.
@@ -115,11 +124,24 @@ def watch(
         checks.refuse("watch truth", "none beside a scene, which has its own", type(truth).__name__)
     if budget is not None:
         checks.above_zero("watch budget", budget)
-    checks.need("uvicorn", "dashboard")
+    recorder = Recorder(stream.filter, stream.model, scene, budget)
+    page = opened_page(recorder, host, port, title or type(stream.filter).__name__)
+    page.stream = stream
+    return page
+
+
+def opened_page(recorder: Recorder, host: str, port: int, title: str) -> Page:
+    """Open a page that shows what a recorder has, of a stream that has perhaps not begun.
+
+    Raises:
+        MotesError: the port cannot be used.
+        MissingExtraError: the packages that serve the page are not installed.
+    """
+    for module in ("starlette", "uvicorn", "websockets"):
+        checks.need(module, "dashboard")
     listener = listening(host, port)
     guard = Guard(host, listener.getsockname()[1])
-    recorder = Recorder(stream, scene, budget)
-    return Page(recorder, guard, Server(listener, guard, Answers(recorder, title or type(stream.filter).__name__)))
+    return Page(recorder, guard, Server(listener, guard, Answers(recorder, title)))
 
 
 def listening(host: str, port: int) -> socket.socket:

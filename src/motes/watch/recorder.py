@@ -19,6 +19,7 @@ from motes.core.packed import Packed
 from motes.diagnostics.diagnose import diagnose
 from motes.filters.history import Carry, History
 from motes.filters.info import Info
+from motes.filters.interface import Filter
 from motes.filters.keep import moments
 from motes.filters.stream import Stream
 from motes.report.film import KEPT_POINTS, LEADING, MOST_POINTS, Frame, Reel, Seen, frame, row
@@ -53,6 +54,22 @@ class Step(NamedTuple):
     time: float
 
 
+class Left(NamedTuple):
+    """What is in the slot.
+
+    Attributes:
+        held: what goes from step to step.
+        filter: that it is of.
+        step: the newest.
+        picture: what was seen, or None.
+    """
+
+    held: Packed
+    filter: Filter
+    step: Step
+    picture: Any
+
+
 @partial(jax.jit, static_argnames=("most", "moving"))
 def _seen(law: Any, most: int, moving: Callable[[Any], Any] | None) -> dict[str, Any]:
     found, places = law.weighted_points(), {} if moving is None else {"moving": moving(law)}
@@ -65,11 +82,11 @@ def _seen(law: Any, most: int, moving: Callable[[Any], Any] | None) -> dict[str,
 class Recorder:
     """Moments and rows of a stream, made of what is left in its slot; `turn` is called on one thread alone."""
 
-    def __init__(self, stream: Stream, scene: Scene, budget: float | None = None):
-        """Take a stream, where it is drawn, and the seconds that a step may take."""
-        self.scene, self.budget, self.label = scene, budget, repr(stream.filter)
-        self.stream, self._settings = stream, settings.in_force()
-        self._slot: tuple[Packed, Step, Any] | None = None
+    def __init__(self, filter: Filter, model: Any, scene: Scene, budget: float | None = None):
+        """Take filter and model of the stream, where it is drawn, and the seconds that a step may take."""
+        self.scene, self.budget, self.label, self._names = scene, budget, repr(filter), tuple(model.names)
+        self._settings = settings.in_force()
+        self._slot: Left | None = None
         self._steps: deque[Step] = deque(maxlen=WAITING)
         self._last: deque[tuple[int, Info]] = deque(maxlen=JUDGED)
         self.lock = threading.Lock()
@@ -84,12 +101,11 @@ class Recorder:
         self.log_likelihood = float("nan")
         self._judged = -np.inf
 
-    def leave(self, step: Step, picture: Any = None) -> None:
-        """Leave the newest step in the slot; called on the filter's thread."""
-        held = self.stream.held
-        if held is not None:
+    def leave(self, stream: Stream, step: Step, picture: Any = None) -> None:
+        """Leave the newest step of a stream in the slot; called on the filter's thread."""
+        if stream.held is not None:
             self._steps.append(step)
-            self._slot = (held, step, picture)
+            self._slot = Left(stream.held, stream.filter, step, picture)
 
     def turn(self) -> bool:
         """Make a moment of what was left since the last turn; tells whether there was something."""
@@ -100,9 +116,9 @@ class Recorder:
             self._make(slot)
         return True
 
-    def _make(self, slot: tuple[Packed, Step, Any]) -> None:
-        held, last, picture = slot
-        carry: Carry = held.whole()
+    def _make(self, slot: Left) -> None:
+        carry: Carry = slot.held.whole()
+        picture, last = slot.picture, slot.step
         moving = None if self.scene.moving is None else self.scene.moving.of
         found = {name: np.asarray(value) for name, value in _seen(carry.state, MOST_POINTS, moving).items()}
         steps = []
@@ -121,7 +137,7 @@ class Recorder:
         usual = float(np.median(timed)) if timed.size else np.nan
         evidences, rings = float(np.mean([one.log_evidence for one in infos])), any(bool(one.alarm) for one in infos)
         told = row(made, self.scene, (usual, min(float(one.ess) for one in infos), evidences, rings))
-        evidence = float(carry.evidence.value()) if self.stream.filter.has_evidence else float("nan")
+        evidence = float(carry.evidence.value()) if slot.filter.has_evidence else float("nan")
         with self.lock:
             self.newest, self.log_likelihood = made, evidence
             self.reel.add(made.thinned(KEPT_POINTS), time.monotonic())
@@ -129,7 +145,7 @@ class Recorder:
             self.late += 0 if self.budget is None else int(np.sum(timed > self.budget))
             self._keep(told)
         if time.monotonic() - self._judged > EVERY:
-            self.judge(carry)
+            self._judge(carry, slot.filter)
 
     def _keep(self, told: np.ndarray) -> None:
         self._skipped += 1
@@ -153,11 +169,11 @@ class Recorder:
             frames, rows = self.reel.chosen(MOMENTS), self.rows[: self.count].copy()
             return Film(title=title, facts=facts, scene=self.scene, frames=frames, rows=rows, findings=self.findings)
 
-    def judge(self, carry: Carry) -> None:
+    def _judge(self, carry: Carry, filter: Filter) -> None:
         """Say in words what is wrong with the last steps, as `diagnose` does."""
         info = jax.tree.map(lambda *parts: np.stack(parts), *(info for _, info in self._last))
-        start, model, filter = np.asarray(self._last[0][0]), self.stream.model, self.stream.filter
-        history = History({}, info, carry, start, model.names, self.label, **filter.traits)  # type: ignore[arg-type]
+        start = np.asarray(self._last[0][0])
+        history = History({}, info, carry, start, self._names, repr(filter), **filter.traits)  # type: ignore[arg-type]
         found = diagnose(history).findings
         known = {one.name for one in self.findings}
         with self.lock:

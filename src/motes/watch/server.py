@@ -54,9 +54,7 @@ class Server:
 
     def __init__(self, listener: socket.socket, guard: Guard, answers: Answers):
         """Take a socket that listens, who may look, and what is told."""
-        need("starlette", "dashboard")
         uvicorn = need("uvicorn", "dashboard")
-        need("websockets", "dashboard")
         self.guard, self.answers = guard, answers
         self.framed = False
         self._pages: dict[Any, None] = {}

@@ -144,7 +144,7 @@
 
   function alarms() {
     const place = byId("alarms"), found = answer.findings, bad = found.some(function (one) { return one.serious; });
-    const text = JSON.stringify(found);
+    const text = JSON.stringify([found, shown !== null]);
     // said anew only where it is new: a reader would be told each time
     if (place.dataset.text === text) { return; }
     place.dataset.text = text;
@@ -153,7 +153,7 @@
       const line = element("p", "");
       line.append(element("b", (one.serious ? "warning, " : "note, ") + one.name + ": "), one.text);
       return line;
-    }) : [element("p", "Nothing wrong was found in the last steps.")]);
+    }) : [element("p", shown ? "Nothing wrong was found in the last steps." : "The first measurement is waited for.")]);
   }
 
   function unit() {
@@ -184,7 +184,8 @@
     const plot = new uPlot({
       width: Math.max(240, holder.clientWidth), height: 120, cursor: { show: false }, legend: { show: false },
       scales: { x: { time: false }, y: { distr: logarithmic ? 3 : 1 } },
-      axes: [Object.assign({ size: 26 }, axis), Object.assign({ size: 58 }, axis)], series: series
+      axes: [Object.assign({ size: 26 }, axis), Object.assign({ size: 58 }, axis, logarithmic ? { grid: { show: false } } : {})],
+      series: series
     }, [[]].concat(series.slice(1).map(function () { return []; })), holder);
     charts.push({ plot: plot, names: names, logarithmic: logarithmic, factor: factor || 1, level: level, holder: holder });
   }
