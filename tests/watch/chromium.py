@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import time
 import urllib.request
+from contextlib import ExitStack
 from pathlib import Path
 
 PROGRAM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
@@ -47,7 +48,8 @@ class Tab:
     def __init__(self, socket, address, size, dark, mobile):
         from websockets.sync.client import connect
 
-        self._socket = connect(socket, max_size=None, compression=None)
+        self._opened = ExitStack()
+        self._socket = self._opened.enter_context(connect(socket, max_size=None, compression=None))
         self._number, self.asked, self.said = 0, [], []
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.does(f"{domain}.enable")
@@ -91,8 +93,9 @@ class Tab:
         return found
 
     def presses(self, key, code=None):
-        for kind in ("keyDown", "keyUp"):
-            self.does("Input.dispatchKeyEvent", type=kind, key=key, code=code or key, text=key if len(key) == 1 and kind == "keyDown" else "")
+        written = key if len(key) == 1 else ""
+        self.does("Input.dispatchKeyEvent", type="keyDown", key=key, code=code or key, text=written)
+        self.does("Input.dispatchKeyEvent", type="keyUp", key=key, code=code or key)
 
     def picture(self, path, whole=False):
         found = self.does("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
@@ -106,4 +109,4 @@ class Tab:
         self._socket.send(json.dumps({"id": self._number, "method": "Runtime.evaluate", "params": {"expression": code}}))
 
     def close(self):
-        self._socket.close()
+        self._opened.close()

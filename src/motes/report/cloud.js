@@ -1,7 +1,7 @@
 "use strict";
 // Draws a moment of a run on a canvas: what stands behind, the way, the truth, the particles, mean and ellipse.
 const motesCloud = (function () {
-  const LEVELS = 6, LARGEST = 65535, REACH = 3.5, ROOM = 0.08, SHRINK = 0.06;
+  const LEVELS = 6, LARGEST = 65535, REACH = 3.5, ROOM = 0.08, SHRINK = 0.06, SMALL = 0.12, INSET = 0.34;
 
   function colors(element) {
     const style = getComputedStyle(element);
@@ -137,6 +137,39 @@ const motesCloud = (function () {
     ellipse(pen, look, one, across, up);
     dots(pen, look, one, across, up);
     pen.restore();
+    const narrow = one.axes[0] === 0 && one.axes[1] === 1 && scene.extent && !view.follow &&
+      2 * REACH * Math.sqrt(Math.max(one.cov[0], one.cov[2])) < SMALL * Math.min(Math.abs(x[1] - x[0]), Math.abs(y[1] - y[0]));
+    if (narrow) { closer(pen, look, one, scene, view, box, across, up); }
+  }
+
+  // Where the law is a dot on the map, it is shown larger in a corner away from it.
+  function closer(pen, look, one, scene, view, box, across, up) {
+    const side = Math.min(INSET * Math.min(box.right - box.left, box.bottom - box.top), 240);
+    const a = across(one.mean[0]), b = up(one.mean[1]), left = a > (box.left + box.right) / 2 ? box.left + 6 : box.right - side - 6;
+    const top = b > (box.top + box.bottom) / 2 ? box.top + 6 : box.bottom - side - 6;
+    const ways = [one.cov[0], one.cov[2]].map(function (value) { return 1.2 * REACH * Math.sqrt(Math.max(value, 0)); });
+    const half = settled(view.half ? [-view.half, view.half] : null, [-Math.max(ways[0], ways[1], 1e-12), Math.max(ways[0], ways[1], 1e-12)])[1];
+    view.half = half;
+    const over = scene.extent[2] > scene.extent[3] ? -1 : 1;
+    const near = function (value) { return left + side / 2 + (value - one.mean[0]) / half * side / 2; };
+    const high = function (value) { return top + side / 2 - over * (value - one.mean[1]) / half * side / 2; };
+    pen.save();
+    pen.beginPath();
+    pen.rect(left, top, side, side);
+    pen.fillStyle = look.back;
+    pen.fill();
+    pen.clip();
+    cloud(pen, look, one, near, high, 0);
+    ellipse(pen, look, one, near, high);
+    dots(pen, look, one, near, high);
+    pen.restore();
+    pen.strokeStyle = look.text;
+    pen.lineWidth = 1.5;
+    pen.strokeRect(left, top, side, side);
+    pen.fillStyle = look.text;
+    pen.textAlign = "left";
+    pen.textBaseline = "bottom";
+    pen.fillText(written(2 * half, 2 * half) + (scene.units[0] ? " " + scene.units[0] : "") + " wide", left + 5, top + side - 4);
   }
 
   function levelled(x, y, box) {

@@ -149,9 +149,11 @@ def _drawn(mean: np.ndarray, cov: np.ndarray, seen: Seen) -> tuple[np.ndarray, n
         points = mean[:, None] + directions @ (np.sqrt(np.maximum(variances, 0))[:, None] * normal)
         return points, np.full(SPREAD, HEAVIEST, np.uint8)
     log_weights = np.asarray(seen.log_weights, np.float64)
-    top = np.max(log_weights, initial=-np.inf)
-    shares = np.exp(0.5 * (log_weights - top)) if np.isfinite(top) else np.ones_like(log_weights)
-    return np.asarray(seen.points, np.float64), np.round(HEAVIEST * np.nan_to_num(shares)).astype(np.uint8)
+    some = np.flatnonzero(np.isfinite(log_weights))
+    some = some[:: max(1, -(-some.size // MOST_POINTS))]
+    log_weights = log_weights[some]
+    shares = np.exp(0.5 * (log_weights - np.max(log_weights, initial=-np.inf)))
+    return np.asarray(seen.points)[:, some].astype(np.float64), np.round(HEAVIEST * shares).astype(np.uint8)
 
 
 def error_of(one: Frame, scene: Scene) -> float:

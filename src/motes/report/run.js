@@ -72,7 +72,7 @@
     const plot = new uPlot({
       width: Math.max(280, place.clientWidth), height: 180, scales: { x: { time: false }, y: { distr: logarithmic ? 3 : 1 } },
       axes: [axis, Object.assign({ size: 64 }, axis, logarithmic ? { grid: { show: false } } : {})], legend: { show: false },
-      series: [{ label: "step" }, { label: title, stroke: style("cloud"), width: 1.5, points: { show: false } }]
+      series: [{ label: "step" }, { label: title, stroke: style("cloud"), width: 1.5, points: { show: false }, spanGaps: true }]
     }, [column(scene.timed ? "time" : "step"), values], place);
     drawings.push(function () { plot.setSize({ width: Math.max(280, place.clientWidth), height: 180 }); });
   }

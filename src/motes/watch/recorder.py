@@ -34,6 +34,8 @@ MOST_ROWS = 4_096
 """Rows that are held; where there are more, every second one goes."""
 MEMORY, MINUTES = 96 << 20, 10.0
 """Bytes and minutes of moments that are held to go back to."""
+SURPLUS = 4
+"""How many times as many particles are fetched as are drawn: some filters hold many without weight."""
 EVERY = 0.5
 """Seconds between two judgements."""
 TOLD = 40
@@ -75,7 +77,8 @@ def _seen(law: Any, most: int, moving: Callable[[Any], Any] | None) -> dict[str,
     found, places = law.weighted_points(), {} if moving is None else {"moving": moving(law)}
     if found is None:
         return {**moments(law), **places}
-    every = -(-found[0].shape[1] // most)
+    # the others are thinned by their weights, which are numbers only outside of the program
+    every = -(-found[0].shape[1] // (SURPLUS * most))
     return {**moments(law), **places, "points": found[0][:, ::every], "log_weights": found[1][::every]}
 
 

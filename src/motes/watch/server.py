@@ -17,6 +17,7 @@ from typing import Any
 from motes.core.checks import need
 from motes.watch.answers import Answers
 from motes.watch.guard import Guard
+from motes.watch.quiet import is_waiting, protocols
 
 PAGES, CONNECTIONS = 64, 256
 """Sockets, of which the oldest is closed for one more; and connections of any kind."""
@@ -40,7 +41,7 @@ FILES = {"page.js": "text/javascript", "page.css": "text/css", "cloud.js": "text
          "uPlot.min.css": "text/css", "colors.css": "text/css"}  # fmt: skip
 FOLDERS = {"cloud.js": "motes.report", "colors.css": "motes.report",
            "uPlot.iife.min.js": "motes.report/uplot", "uPlot.min.css": "motes.report/uplot"}  # fmt: skip
-REFUSED = "Open the link with its token, as it was printed: the page is for who started it.\n"
+REFUSED = "Open the link with its token, as it was printed: the page is its owner's.\n"
 
 
 def read(name: str) -> str:
@@ -61,9 +62,10 @@ class Server:
         self._seen: dict[int, float] = {}
         self._cost = 0.0
         self._news = asyncio.Event()
+        requests, sockets = protocols()
         config = uvicorn.Config(
-            self._checked, interface="asgi3", http="h11", loop="asyncio", lifespan="off", ws="websockets-sansio",
-            log_config=None, access_log=False, proxy_headers=False, server_header=False, timeout_graceful_shutdown=1,
+            self._checked, interface="asgi3", http=requests, ws=sockets, loop="asyncio", lifespan="off", log_config=None,
+            proxy_headers=False, server_header=False, timeout_graceful_shutdown=1,
             ws_per_message_deflate=False, ws_max_size=ASKED, ws_max_queue=4, limit_concurrency=CONNECTIONS,
             h11_max_incomplete_event_size=1 << 14,
         )  # fmt: skip
@@ -111,8 +113,7 @@ class Server:
         now = time.monotonic()
         self._seen = {key: self._seen.get(key, now) for key in there}
         for key, one in there.items():
-            waits = getattr(one, "cycle", None) is None and hasattr(one, "flow")
-            if waits and now - self._seen[key] > SILENT and getattr(one, "transport", None) is not None:
+            if is_waiting(one) and now - self._seen[key] > SILENT and getattr(one, "transport", None) is not None:
                 one.transport.abort()
 
     async def _checked(self, scope: Any, receive: Any, send: Any) -> None:

@@ -177,7 +177,7 @@
     holder.append(element("h2", title));
     byId("charts").append(holder);
     const series = [{ label: "step" }].concat(names.map(function (name, index) {
-      return { label: name, stroke: [style("cloud"), style("mean")][index], width: 1.4, points: { show: false } };
+      return { label: name, stroke: [style("cloud"), style("mean")][index], width: 1.4, points: { show: false }, spanGaps: true };
     }));
     if (level) { series.push({ label: "budget", stroke: style("mean"), width: 1.2, dash: [6, 4], points: { show: false } }); }
     const axis = { stroke: style("text"), grid: { stroke: style("grid"), width: 1 }, ticks: { stroke: style("grid"), width: 1 }, font: "11px system-ui" };
