@@ -26,9 +26,10 @@ def small_stream(n=200, names=NAMES):
 def stepped(stream, page, steps, value=0.0):
     size = min(2, stream.model.size)
     for _ in range(steps):
+        if stream.held is not None:
+            stream.predict()
         stream.update(np.full(size, value, np.float32))
         page.show(seconds=1e-3, time=float(stream.t))
-        stream.predict()
 
 
 def asked(port, request):

@@ -43,8 +43,8 @@ def test_what_has_no_weight_or_is_no_number_is_left_out():
     header, points, _ = back(frame((0, 0, np.nan), seen, PLANE))
     assert points.shape == (2, 0) and header["low"] == [0, 1]
     nowhere = Seen(np.full(2, np.nan), np.full((2, 2), np.nan), np.full((2, 3), np.inf), np.zeros(3))
-    header, points, _ = back(frame((0, 0, np.nan), nowhere, PLANE))
-    assert points.shape == (2, 0) and header["mean"] == [None, None] and header["cov"] == [None] * 3
+    header, body = frame((0, 0, np.nan), nowhere, PLANE).along((0, 1))
+    assert header["count"] == 0 and body == b"" and header["mean"] == header["low"] == [None, None] and header["cov"] == [None] * 3
 
 
 @pytest.mark.parametrize("n", [1, 2, MOST_POINTS, MOST_POINTS + 1, 5 * MOST_POINTS - 1])

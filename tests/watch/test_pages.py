@@ -21,6 +21,7 @@ def shown(page, steps=1, stream=None, axes=(0, 1), **changes):
     """What a page is told once a stream has taken some steps."""
     if stream is not None:
         stepped(stream, page, steps)
+        waited(lambda: page._recorder.newest is not None and page._recorder.newest.step == stream.t)
     with connected(*entered(page)) as watching:
         for _ in range(100):
             watching.send(question(axes=list(axes), **changes))
@@ -51,6 +52,7 @@ def test_a_page_shows_the_law_of_the_stream(opened):
     page = opened(stream, truth=truth, budget=1e-9)
     for _ in range(9):
         stepped(stream, page, 1)
+    stream.predict()
     stream.update(np.zeros(2, np.float32))
     page.show(seconds=0.5, time=12.25)
     waited(lambda: page._recorder.newest is not None and page._recorder.newest.step == 9)
@@ -78,7 +80,7 @@ def test_a_stream_that_is_watched_has_the_bits_of_a_run(opened):
             stream.predict()
         stream.update(y)
         page.show()
-    waited(lambda: page._recorder.newest.step == 11)
+    waited(lambda: page._recorder.newest is not None and page._recorder.newest.step == 11)
     assert all(map(np.array_equal, jax.tree.leaves(stream.state), jax.tree.leaves(alone.state)))
 
 
