@@ -50,7 +50,7 @@ def test_a_page_shows_moves_and_obeys_the_keyboard(browser):
         for value in (1.0, 2.0, 3.0):
             stepped(stream, page, 1, value)
             time.sleep(0.1)
-        tab.waits("document.getElementById('numbers').innerText.includes('7')")
+        tab.waits("document.querySelector('#numbers dd').textContent === '7'")
         assert tab.tells(PIXELS) != before
         tab.presses(" ")
         assert tab.tells("document.getElementById('pause').textContent") == "Play"

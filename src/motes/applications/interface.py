@@ -119,7 +119,7 @@ class Job:
             MotesError: the measurements do not fit the model.
         """
         if callable(self.ys):
-            yield from map(Moment, self.ys())
+            yield from map(Moment, self.ys())  # type: ignore[reportArgumentType]
             return
         ys, inputs = jax.tree.map(np.asarray, checked_data(self.model, self.ys, self.inputs))
         for step in range(steps_of(ys)):

@@ -65,7 +65,7 @@ def carried_out(wish: Asked, written: Any = None) -> None:
     if job.about():
         print(job.about())
     page = _page(job, filter, wish, budget)
-    _run(job, filter, settings, page)
+    _worked_through(job, filter, settings, page)
     folder = running.made_folder(settings.out)
     report = page.report(f"{wish.application.name}: {name}")
     running.write_text(folder / "report.html", report)
@@ -79,18 +79,18 @@ def carried_out(wish: Asked, written: Any = None) -> None:
 
 def _page(job: "Job", filter: "Filter", wish: Asked, budget: float | None) -> "Page":
     """Open the page, which waits for the first step, and tell where it is."""
-    from motes.watch.page import opened, opened_page
+    from motes.watch.page import in_browser, opened_page
     from motes.watch.recorder import Recorder
 
     settings = wish.settings
     page = opened_page(Recorder(job.worn(filter), job.model, job.scene(), budget), settings.host, settings.port, wish.application.name)
     print(f"Watch it at {page.address}", flush=True)
-    if settings.browser and not opened(page.address):
+    if settings.browser and not in_browser(page.address):
         print("motes watch: no browser was found here; open the link in one.", file=sys.stderr)
     return page
 
 
-def _run(job: "Job", filter: "Filter", settings: Any, page: "Page") -> None:
+def _worked_through(job: "Job", filter: "Filter", settings: Any, page: "Page") -> None:
     """Run a filter over what comes in, at the rate that is asked for, and show each step."""
     least = 1 / settings.rate if settings.rate else 0
     due = time.perf_counter()

@@ -86,17 +86,17 @@ class Frame(NamedTuple):
         A coordinate of -1 is the time.
         """
         now = self.step if np.isnan(self.time) else self.time
-        header: dict[str, Any] = {"number": self.number, "step": self.step, "time": number(self.time), "count": self.points.shape[1],
+        header: dict[str, Any] = {"number": self.number, "step": self.step, "time": rounded(self.time), "count": self.points.shape[1],
                                   "axes": list(axes), "moving": self._moved(), "low": [], "high": [], "mean": [], "truth": []}  # fmt: skip
         parts = []
         for axis in axes:
             across = (now, now, now, now) if axis < 0 else (self.low[axis], self.high[axis], self.mean[axis], self.truth[axis])
             for name, value in zip(("low", "high", "mean", "truth"), across, strict=True):
-                header[name].append(number(value))
+                header[name].append(rounded(value))
             parts.append(np.zeros(self.points.shape[1], np.uint16) if axis < 0 else self.points[axis])
         i, j = axes
         cov = [0.0 if min(pair) < 0 else self.cov[pair] for pair in ((i, i), (i, j), (j, j))]
-        header["cov"] = [number(value) for value in cov]
+        header["cov"] = [rounded(value) for value in cov]
         return header, b"".join([*(part.astype("<u2").tobytes() for part in parts), self.weights.tobytes()])
 
     def _moved(self) -> list[list[float]]:
@@ -104,7 +104,7 @@ class Frame(NamedTuple):
         return [[float(f"{value:.6g}") for value in place] for place in places]
 
 
-def number(value: Any) -> float | None:
+def rounded(value: Any) -> float | None:
     """Return a number for JSON, which has no infinite ones."""
     value = float(value)
     return float(f"{value:.9g}") if np.isfinite(value) else None
@@ -123,7 +123,7 @@ def frame(which: tuple[int, int, float], seen: Seen, scene: Scene, u: Any = None
     step = which[1]
     mean, cov = np.asarray(seen.mean, np.float64), np.asarray(seen.cov, np.float64)
     deviations = np.sqrt(np.maximum(np.nan_to_num(np.diagonal(cov)), 0))
-    points, weights = _drawn(mean, cov, seen)
+    points, weights = _points_of(mean, cov, seen)
     if scene.place is not None:
         steps = np.where(deviations > 0, deviations, 1.0)
         around = np.concatenate([mean[:, None], mean[:, None] + np.diag(steps)], axis=1)
@@ -140,7 +140,7 @@ def frame(which: tuple[int, int, float], seen: Seen, scene: Scene, u: Any = None
     return Frame(which[0], step, which[2], whole, weights, low, high, mean, cov, truth, picture, seen.moving)
 
 
-def _drawn(mean: np.ndarray, cov: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+def _points_of(mean: np.ndarray, cov: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
     """Return points and their weights as they are drawn."""
     if seen.points is None or seen.log_weights is None:
         # the same draws at each moment, so that they move as the law does

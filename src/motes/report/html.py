@@ -16,7 +16,7 @@ from motes.core import checks
 from motes.filters.history import History
 from motes.io.archive import whole_file
 from motes.io.result_table import shown
-from motes.report.parts import filled, in_json, table
+from motes.report.parts import filled, html_table, in_json
 from motes.report.run import film_of, run_page
 from motes.report.scene import Scene
 from motes.studies.result import StudyResult
@@ -82,11 +82,11 @@ def _page(result: StudyResult, bound: Any, seconds: dict[str, float] | None, tit
     return filled(
         "page.html", ("uplot/uPlot.iife.min.js", "charts.js"), ("uplot/uPlot.min.css",), title=escape(title),
         summary=escape(f"{runs} runs of {steps} steps, the same tracks and measurements for every filter.{rule}"),
-        table=table(told.columns, [[shown(cell) for cell in row] for row in told.rows], 2),
+        table=html_table(told.columns, [[shown(cell) for cell in row] for row in told.rows], 2),
         reading=escape(_READING),
         blocks="\n".join(_block(result, place, name) for place, (name, _) in enumerate(result.blocks)),
-        labels=table(("name", "filter"), list(zip(result.filters, result.labels, strict=True)), 2),
-        provenance=table(("", ""), [(name.replace("_", " "), value) for name, value in (machine | dict(result.provenance)).items()], 2),
+        labels=html_table(("name", "filter"), list(zip(result.filters, result.labels, strict=True)), 2),
+        provenance=html_table(("", ""), [(name.replace("_", " "), text) for name, text in (machine | dict(result.provenance)).items()], 2),
         data=in_json(_series(result, bound)),
     )  # fmt: skip
 

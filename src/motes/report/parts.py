@@ -29,7 +29,7 @@ def filled(template: str, scripts: Sequence[str], styles: Sequence[str], **texts
     return Template((folder / template).read_text("utf-8")).substitute(texts, hashes=hashes, styles=style, **named)
 
 
-def table(head: Any, rows: Any, texts: int) -> str:
+def html_table(head: Any, rows: Any, texts: int) -> str:
     """Return an HTML table whose first columns are texts."""
     kinds = ["text"] * texts + [""] * (len(head) - texts)
     top = "".join(f'<th class="{kind}">{escape(name)}</th>' for kind, name in zip(kinds, head, strict=True))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+import jax
 import numpy as np
 
 from motes.core import checks
@@ -15,7 +16,7 @@ from motes.diagnostics.diagnose import diagnose
 from motes.filters.history import History
 from motes.io.archive import provenance
 from motes.report.film import LEADING, Frame, Seen, frame, row
-from motes.report.parts import filled, in_json, table
+from motes.report.parts import filled, html_table, in_json
 from motes.report.scene import Scene, encoded, scene_of
 
 MOMENTS, POINTS = 12, 1_000
@@ -67,9 +68,9 @@ def run_page(film: Film) -> str:
     here = {"system": f"{platform.system()} {platform.machine()}"} | provenance()
     return filled(
         "run.html", ("uplot/uPlot.iife.min.js", "cloud.js", "run.js"), ("uplot/uPlot.min.css", "colors.css"),
-        title=escape(film.title), facts=table(("", ""), film.facts, 2), data=in_json(data),
+        title=escape(film.title), facts=html_table(("", ""), film.facts, 2), data=in_json(data),
         findings=f"<ul>{said}</ul>" if said else "<p>Nothing wrong was found.</p>",
-        provenance=table(("", ""), [(name.replace("_", " "), str(value)) for name, value in here.items()], 2),
+        provenance=html_table(("", ""), [(name.replace("_", " "), str(value)) for name, value in here.items()], 2),
     )  # fmt: skip
 
 
@@ -118,15 +119,11 @@ def film_of(history: History, scene: Scene | None, truth: Any, inputs: Any, titl
 
 def at(tree: Any, step: int) -> Any:
     """Return the inputs of one step as NumPy's arrays, or None where there are none."""
-    import jax
-
     return jax.tree.map(lambda leaf: np.asarray(leaf[step]), tree)
 
 
 def _points(history: History, step: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Return particles and log weights of a step, where they were kept."""
-    import jax
-
     if "cloud" in history.kept:
         cloud = np.asarray(history.kept["cloud"][step])
         return cloud, np.zeros(cloud.shape[1])

@@ -3,9 +3,7 @@
 import json
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from motes.report.film import Frame
+from motes.report.film import Frame, rounded
 from motes.report.scene import encoded
 from motes.watch.recorder import Recorder
 
@@ -38,7 +36,8 @@ class Answers:
     def __init__(self, recorder: Recorder, title: str):
         """Answer from what a recorder has."""
         self.recorder, self.title = recorder, title
-        self.state, self.report = "live", None
+        self.state = "live"
+        self.report: str | None = None
         self._picture: bytes | None = None
         self._made: dict[tuple[int, int, tuple[int, int]], tuple[dict[str, Any], bytes]] = {}
 
@@ -89,20 +88,20 @@ class Answers:
             header: dict[str, Any] = {
                 "rows": {"generation": recorder.generation, "from": begin, "count": recorder.count - begin},
                 "reel": recorder.reel.reach, "state": self.state, "report": self.report is not None, "late": recorder.late,
-                "taken": recorder.taken, "log_likelihood": _finite(recorder.log_likelihood),
+                "taken": recorder.taken, "log_likelihood": rounded(recorder.log_likelihood),
                 "findings": [{"name": one.name, "text": f"{one.text} {one.advice}", "serious": bool(one.serious)}
                              for one in recorder.findings],
                 "told": list(recorder.told),
             }  # fmt: skip
         body = b""
         if shown is not None:
-            drawn, body = self._drawn(shown, asked.axes)
+            drawn, body = self._moment(shown, asked.axes)
             header |= {"frame": drawn, "live": asked.at is None}
         text = json.dumps(header, allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
         return b"".join([len(text).to_bytes(4, "little"), text, rows, body])
 
-    def _drawn(self, shown: Frame, axes: tuple[int, int]) -> tuple[dict[str, Any], bytes]:
+    def _moment(self, shown: Frame, axes: tuple[int, int]) -> tuple[dict[str, Any], bytes]:
         key = (shown.number, shown.points.shape[1], axes)
         if key not in self._made:
             # pages that look at the same share the newest few
@@ -111,7 +110,3 @@ class Answers:
             header, body = shown.along(axes)
             self._made[key] = (header | {"picture": len(shown.picture)}, body + shown.picture)
         return self._made[key]
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -164,7 +164,7 @@ def listening(host: str, port: int) -> socket.socket:
     return found
 
 
-def opened(address: str) -> bool:
+def in_browser(address: str) -> bool:
     """Open a link in the user's browser; tells whether there is one."""
     if sys.platform.startswith("linux") and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))):
         return False

@@ -88,7 +88,7 @@ class TerrainJob(Job):
         picture, extent = ground(flight.terrain)
 
         def place(points: np.ndarray, u: Any, step: int) -> np.ndarray:
-            north, east, _ = corrected(u, points.T, names)
+            north, east, _ = corrected(u, points.T, names)  # type: ignore[reportArgumentType]
             return np.concatenate([np.stack([east, north]) / 1e3, points])
 
         truth = np.full((len(inertial), 2 + len(names)), np.nan)
