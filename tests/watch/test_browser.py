@@ -18,7 +18,7 @@ pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
 pytestmark = pytest.mark.skipif(chromium.PROGRAM is None, reason=chromium.MISSING)
 COMMAND = "import sys; from motes.cli.main import main; sys.exit(main())"
-UPDATES = "Number(document.getElementById('rate').dataset.updates || 0)"
+UPDATES = "Number(document.getElementById('rate')?.dataset.updates || 0)"
 PIXELS = "document.getElementById('cloud').toDataURL()"
 KEPT = Path(os.environ.get("MOTES_SHOTS", Path(__file__).parents[2] / "out" / "shots"))
 DEMOS = {"terrain": (), "robot": (), "aircraft": (), "laser": ("--filter", "particle"), "slam": (), "notch": ("--scans", "300"),
