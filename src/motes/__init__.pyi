@@ -102,3 +102,4 @@ from .resampling.exchange import Ring as Ring
 from .smoothers.smooth import smooth as smooth
 from .studies.experiment import Experiment as Experiment
 from .studies.run import study as study
+from .watch.page import watch as watch

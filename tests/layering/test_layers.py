@@ -11,7 +11,7 @@ RANKS = {
     "core": 0, "tracing": 1, "laws": 1, "io": 1, "data": 1, "models": 2, "resampling": 2, "native": 3, "gaussian": 3, "filters": 4,
     "smoothers": 5, "mcmc": 5, "bounds": 5, "costs": 5, "diagnostics": 5, "detect": 5,
     "montecarlo": 6, "studies": 6, "testing": 6, "planning": 7, "parameters": 7, "plotting": 8, "report": 8, "live": 8,
-    "applications": 9, "cli": 10,
+    "watch": 9, "applications": 9, "cli": 10,
 }  # fmt: skip
 SHARED = {"filters": ("interface", "info", "clouds", "needs", "gated", "gaussian", "look_ahead", "proposals", "sharp", "alarm", "notices",
                       "precision", "history", "history_files", "keep", "data", "setup", "pair", "run", "wrapper", "pieces", "late",

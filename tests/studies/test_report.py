@@ -104,7 +104,7 @@ def test_runs_that_are_not_numbers_leave_a_whole_page(tmp_path):
 def test_refusals(tmp_path):
     with pytest.raises(mo.MotesError) as error:
         mo.report(3, tmp_path / "report.html")
-    refused(error, "report result: expected a StudyResult, got int")
+    refused(error, "report result: expected a StudyResult or a History, got int")
     with pytest.raises(FileError, match="expected a name that ends in .html, got .txt"):
         mo.report(made_result(), tmp_path / "report.txt")
     assert list(tmp_path.iterdir()) == []

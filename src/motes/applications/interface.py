@@ -18,15 +18,18 @@ from motes.core.findings import Diagnosis
 from motes.diagnostics.diagnose import diagnose
 from motes.filters import keep as keeping
 from motes.filters import notices
+from motes.filters.data import checked_data, steps_of
 from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
 from motes.filters.run import run, run_in_chunks
+from motes.filters.stream import Stream
 from motes.io.clocks import Clock
 from motes.io.result_table import Table, track_table
 from motes.laws.circular import wrap
 from motes.models.interface import Model
 from motes.plotting.plot import plot
+from motes.report.scene import Scene, scene_of
 
 DRAWN = 200
 """Particles that are kept for pictures."""
@@ -46,6 +49,22 @@ class Score(NamedTuple):
     value: float | None
     unit: str = ""
     digits: int = 2
+
+
+class Moment(NamedTuple):
+    """What comes in at one step.
+
+    Attributes:
+        y: the measurement; None where there is none.
+        u: inputs of the step.
+        time: seconds; NaN where steps are only numbered.
+        picture: what was seen, uint8 `(height, width, 3)`, or None.
+    """
+
+    y: Any
+    u: Any = None
+    time: float = float("nan")
+    picture: Any = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,6 +119,35 @@ class Job:
     def piece(self, seed: int, filter: Filter, ys: Any, keep: Keep, after: History | None) -> History:
         """Run a filter over a piece of measurements that do not fit into memory, from where the piece before ended."""
         return run(seed, filter, self.model, ys, None, keep, after)
+
+    def moments(self) -> Iterator[Moment]:
+        """Give what comes in, step by step, for filters that are watched while they work.
+
+        Raises:
+            MotesError: the measurements do not fit the model.
+        """
+        if callable(self.ys):
+            yield from map(Moment, self.ys())  # type: ignore[reportArgumentType]
+            return
+        ys, inputs = jax.tree.map(np.asarray, checked_data(self.model, self.ys, self.inputs))
+        for step in range(steps_of(ys)):
+            y, u = jax.tree.map(lambda leaf, step=step: leaf[step], (ys, inputs))
+            yield Moment(y, u, float("nan") if self.times is None else float(self.times[step]))
+
+    def streamed(self, seed: int, filter: Filter, inputs: Any) -> Stream:
+        """Return a filter at work on line, which stands before the first moment.
+
+        Args:
+            seed: of the filter.
+            filter: the filter.
+            inputs: of step 0.
+        """
+        return Stream(seed, self.worn(filter), self.model, inputs)
+
+    def scene(self) -> Scene:
+        """Return where a page draws the law, and what it draws with it; the first two states by default."""
+        truth = self.truth if np.shape(self.truth)[1:] == (self.model.size,) else None
+        return scene_of(tuple(self.model.names), truth, tuple(self.model.circular))
 
     def simulated(self) -> Model:
         """Return the model from which plans and studies draw measurements; of one that is not to be planned, refuse in one line."""

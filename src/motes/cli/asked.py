@@ -55,6 +55,33 @@ class Run:
 
 
 @dataclass(frozen=True)
+class Watch:
+    """Look at a filter while it works: NAME, MODULE:FUNCTION, FILE.py:FUNCTION or a TOML file comes first; the first filter is shown.
+
+    Attributes:
+        rate: steps a second at most; 0 for as fast as the filter can.
+        budget: time that a step may take with its unit, such as 5ms, to be held against what it takes.
+        port: at which the page listens; a free one if 0.
+        host: address at which it listens; any but the loopback lets others on the network ask for it.
+        browser: open the page in the browser.
+        stay: seconds for which the page stays after the last step; until Ctrl-C if not given.
+        seed: of the filter, and of a world that is made up.
+        n: number of particles; the filter's own if not given.
+        out: folder for the report.
+    """
+
+    rate: float = 25.0
+    budget: str = ""
+    port: int = 0
+    host: str = "127.0.0.1"
+    browser: bool = True
+    stay: float | None = None
+    seed: int = 0
+    n: int | None = None
+    out: str = field(default="out", metadata={"path": True})
+
+
+@dataclass(frozen=True)
 class Plan:
     """Find the most accurate filter for a time per step: NAME, MODULE:FUNCTION, FILE.py:FUNCTION or a TOML file comes first.
 
@@ -102,7 +129,7 @@ class Study:
 
 NAME = r"\w[\w +-]{0,59}"
 """What filters may be called: files are named after them."""
-TABLES = {"plan": Plan, "study": Study}
+TABLES = {"plan": Plan, "study": Study, "watch": Watch}
 """Tables of a file that one command alone reads."""
 
 
@@ -221,7 +248,7 @@ def asked(options: type, words: Sequence[str], usage: str) -> Asked:
     """Read what a command is asked for.
 
     Args:
-        options: `Run`, `Plan` or `Study`.
+        options: `Run`, `Plan`, `Study` or `Watch`.
         words: of the command line, after the command.
         usage: the command, for messages and help.
 
@@ -237,7 +264,7 @@ def asked(options: type, words: Sequence[str], usage: str) -> Asked:
         hint = f"application = one of {', '.join(map(repr, applications()))}, or 'model.py:make'"
         refuse(f"{Path(first).name}: application", "the name of an application in quotes", "none" if name is None else shown(name), hint)
     source = application(name, folder)
-    taken = _fields(source.settings) & set().union(*map(_fields, (Run, Plan, Study)))
+    taken = _fields(source.settings) & set().union(*map(_fields, (Run, Plan, Study, Watch)))
     if taken:
         refuse(f"application {source.name}", "settings by other names than those of the commands", sorted(taken)[0])
     kind = dataclasses.make_dataclass(options.__name__, [], bases=(options, source.settings), frozen=True)

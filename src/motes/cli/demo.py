@@ -1,4 +1,4 @@
-"""`motes demo [NAME]`: run an application on a world of its own, and write that as a user's own files would come.
+"""`motes demo [NAME]`: run an application on a world of its own, and write that as a user's own files would come; or watch it (`--watch`).
 
 Beside what `motes run` writes there are the files of the world and NAME.toml, which names them: to be changed and run again.
 """
@@ -32,6 +32,11 @@ def main(words: Sequence[str]) -> None:
     if name not in applications():
         there = [*applications(), *demonstrations()]
         refuse("demo", "one of " + ", ".join(there), repr(name), perhaps(name, there))
+    if "--watch" in rest:
+        from motes.cli.watch import shown_demo
+
+        shown_demo(name, [word for word in rest if word != "--watch"], write)
+        return
     from motes.core.hosts import is_first
 
     wish = asked(Run, [name, *rest], f"motes demo {name}")

@@ -16,6 +16,7 @@ COMMANDS = {
     "demo": "run an application on a world of its own: terrain (the default), robot, aircraft, ...",
     "run": "run filters on an application or your own model, with your measurements",
     "plan": "choose filter, partition and number of particles for a time per step",
+    "watch": "look at a filter while it works, on a page of this machine",
     "study": "compare filters on many simulated runs",
     "calibrate": "measure what the parts of a filter cost on this machine",
     "report": "write the web page of a study from the folder of its runs",

@@ -37,23 +37,6 @@ def bars(unit: str, progress: bool | None = None, passing: bool = False) -> "Pro
     return kind(*columns, console=console, disable=not is_shown(console, progress), transient=passing, speed_estimate_period=WINDOW)
 
 
-def bars(unit: str, progress: bool | None = None, passing: bool = False) -> "Progress":
-    """Return bars of work, to be entered with `with`: what is done of each, the time that it took, and the time that is left.
-
-    Args:
-        unit: what is counted, such as "steps".
-        progress: whether to draw them; where the error stream is a terminal, if None.
-        passing: whether they vanish at the end.
-    """
-    from rich.console import Console  # here, because every run loads this file, and few need a bar
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description:<14}"), BarColumn(), MofNCompleteColumn(), TextColumn(unit), TimeElapsedColumn(),
-               TextColumn("left"), TimeRemainingColumn())  # fmt: skip
-    return Progress(*columns, console=console, disable=not is_shown(console, progress), transient=passing, speed_estimate_period=WINDOW)
-
-
 def tracked(items: Sequence[T], label: str, progress: bool | None) -> Iterable[T]:
     """Go through items, with a bar.
 

@@ -90,10 +90,11 @@ def forecast(  # noqa: PLR0913 (a history knows filter and model, but one of a f
         checks.refuse("forecast history", "one run", f"{np.shape(history.info.ess)[0]} of them",
                       "Write jax.vmap(lambda history: mo.forecast(history, steps))(histories).")  # fmt: skip
     known = history.made_by
-    if (filter is None or model is None) and known is None:
+    if known is not None:
+        filter, model = filter or known.filter, model or known.model
+    if filter is None or model is None:
         checks.refuse("forecast history", "one that knows its filter and model", "one from a file or from compiled code",
                       "Give both: mo.forecast(history, steps, filter=..., model=...).")  # fmt: skip
-    filter, model = filter or known.filter, model or known.model  # type: ignore[union-attr]
     inputs = _inputs_ahead(history, steps, inputs)
     last = history.last.y
     ys = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (steps, *jnp.shape(leaf))), nothing_like(last))

@@ -67,7 +67,7 @@ def plot(result: Any, truth: Any = None, bound: Any = None, states: Sequence[str
         return study_figure(result, bound)
     for kind, draw in ((Bound, bound_figure), (Plan, plan_figure), (Chains, chains_figure)):
         if isinstance(result, kind):
-            return draw(result)
+            return draw(result)  # type: ignore[arg-type]
     checks.refuse("plot result", KINDS, type(result).__name__)
 
 

@@ -1,92 +1,99 @@
-"""A study as one web page: table, errors over time, errors of single runs, and where it all comes from.
+"""A study as one web page: table, errors over time, errors of single runs, and where it all comes from; or a run (`run.py`).
 
 The page opens from disk and asks no network for anything. Whatever a user can name is escaped where it stands, and the page forbids every
 script but its own two, which it knows by digest.
 """
 
-import base64
-import hashlib
-import json
 import math
 import platform
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
 
 from motes.core import checks
+from motes.filters.history import History
 from motes.io.archive import whole_file
 from motes.io.result_table import shown
+from motes.report.parts import filled, html_table, in_json
+from motes.report.run import film_of, run_page
+from motes.report.scene import Scene
 from motes.studies.result import StudyResult
 
 WIDTH, ROW, LEFT, RIGHT = 900, 34, 150, 20
-_UNSAFE = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 
 def report(
-    result: StudyResult, path: str | Path, bound: Any = None, seconds: dict[str, float] | None = None, title: str = "Study"
-) -> Path:
-    """Write a study as one HTML file with interactive charts.
+    result: StudyResult | History, path: str | Path, bound: Any = None, seconds: dict[str, float] | None = None, title: str = "",
+    *, truth: Any = None, scene: Scene | None = None,
+) -> Path:  # fmt: skip
+    """Write a study, or a run, as one HTML file with interactive charts, and of a run pictures of its law.
 
     Args:
-        result: the study.
+        result: the study; or the history of a run that kept moments, whose particles are drawn with `keep=mo.keep.laws`.
         path: file to write, ending in .html.
-        bound: a bound on the covariance of errors, with `cov` `(t, x, x)`, or None.
-        seconds: seconds per step by name of the filter, measured elsewhere, or None.
-        title: heading of the page.
+        bound: of a study: a bound on the covariance of errors, with `cov` `(t, x, x)`, or None.
+        seconds: of a study: seconds per step by name of the filter, measured elsewhere, or None.
+        title: heading of the page; "Study" or "Run" if empty.
+        truth: of a run: true states `(t, x)`, or None.
+        scene: of a run: where its law is drawn; its first two states if not given.
 
     Raises:
-        MotesError: the result is none of a study, or bound or seconds do not fit it.
+        MotesError: the result is neither, or what is given beside it does not fit it.
         FileError: the name ends in something else, or the file cannot be written.
     """
-    if not isinstance(result, StudyResult):
-        checks.refuse("report result", "a StudyResult", type(result).__name__)
+    if not isinstance(result, (StudyResult, History)):
+        checks.refuse("report result", "a StudyResult or a History", type(result).__name__)
+    beside = {"bound": bound, "seconds": seconds} if isinstance(result, History) else {"truth": truth, "scene": scene}
+    for name, value in beside.items():
+        if value is not None:
+            checks.refuse(f"report {name}", f"none beside a {type(result).__name__}", type(value).__name__)
+    path = checked_page(path)
+    if isinstance(result, History):
+        return write_page(path, run_page(film_of(result, scene, truth, None, title or "Run")))
+    return write_page(path, _page(result, bound, seconds, title or "Study"))
+
+
+def checked_page(path: str | Path) -> Path:
+    """Return the path of a page.
+
+    Raises:
+        FileError: it ends in something else.
+    """
     path = Path(path)
     if path.suffix not in (".html", ".htm"):
         checks.refuse(str(path), "a name that ends in .html", path.suffix or "no ending", error=checks.FileError)
-    page = _page(result, bound, seconds, title)
+    return path
+
+
+def write_page(path: Path, page: str) -> Path:
+    """Write a page, whole or not at all, and return its path."""
     with whole_file(path) as file:
         file.write(page.encode())
     return path
 
 
 def _page(result: StudyResult, bound: Any, seconds: dict[str, float] | None, title: str) -> str:
-    table = result.table(bound, seconds)
+    told = result.table(bound, seconds)
     runs, steps = result.truth.shape[:2]
     rule = "" if result.lost_beyond is None else " A run is lost when its final error of {} exceeds {:g}.".format(*result.lost_beyond)
-    folder = files("motes.report")
-    uplot, charts = ((folder / name).read_text("utf-8").strip() for name in ("uplot/uPlot.iife.min.js", "charts.js"))
     machine = {"seed": str(result.seed), "system": f"{platform.system()} {platform.machine()}"}
-    return Template((folder / "page.html").read_text("utf-8")).substitute(
-        title=escape(title),
+    return filled(
+        "page.html", ("uplot/uPlot.iife.min.js", "charts.js"), ("uplot/uPlot.min.css",), title=escape(title),
         summary=escape(f"{runs} runs of {steps} steps, the same tracks and measurements for every filter.{rule}"),
-        table=_table(table.columns, [[shown(cell) for cell in row] for row in table.rows], 2),
+        table=html_table(told.columns, [[shown(cell) for cell in row] for row in told.rows], 2),
         reading=escape(_READING),
         blocks="\n".join(_block(result, place, name) for place, (name, _) in enumerate(result.blocks)),
-        labels=_table(("name", "filter"), list(zip(result.filters, result.labels, strict=True)), 2),
-        provenance=_table(("", ""), [(name.replace("_", " "), value) for name, value in (machine | dict(result.provenance)).items()], 2),
-        data=_json(_series(result, bound)),
-        uplot=uplot, charts=charts, uplot_style=(folder / "uplot/uPlot.min.css").read_text("utf-8"),
-        hashes=" ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in (uplot, charts)),
-    )
+        labels=html_table(("name", "filter"), list(zip(result.filters, result.labels, strict=True)), 2),
+        provenance=html_table(("", ""), [(name.replace("_", " "), text) for name, text in (machine | dict(result.provenance)).items()], 2),
+        data=in_json(_series(result, bound)),
+    )  # fmt: skip
 
 
 _READING = """RMSE: root of the mean over time and runs of the squared 2-norm of the error, with its Monte Carlo standard error.
 Median: RMSE of the median run. Difference: to the first filter on the same runs. NEES/dim: 1 for a filter whose covariances are right.
 Where runs are lost, RMSE and median are over all runs, and everything else is over those that are not lost."""
-
-
-def _table(head: Any, rows: Any, texts: int) -> str:
-    """Return an HTML table whose first columns are texts."""
-    kinds = ["text"] * texts + [""] * (len(head) - texts)
-    top = "".join(f'<th class="{kind}">{escape(name)}</th>' for kind, name in zip(kinds, head, strict=True))
-    body = "".join(
-        "<tr>" + "".join(f'<td class="{kind}{" long" if len(cell) > 60 else ""}">{escape(cell)}</td>'
-                         for kind, cell in zip(kinds, row, strict=True)) + "</tr>\n" for row in rows)
-    return f"<table><thead><tr>{top}</tr></thead><tbody>\n{body}</tbody></table>"
 
 
 def _block(result: StudyResult, place: int, name: str) -> str:
@@ -142,8 +149,3 @@ def _series(result: StudyResult, bound: Any) -> dict[str, Any]:
 
 def _for_json(values: np.ndarray) -> list[float | None]:
     return [float(f"{value:.5g}") if math.isfinite(value) else None for value in values]
-
-
-def _json(value: Any) -> str:
-    """Return JSON that may stand inside a script element: nothing in it can end the element or open another."""
-    return json.dumps(value, ensure_ascii=False, allow_nan=False).translate(_UNSAFE)

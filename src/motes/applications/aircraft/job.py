@@ -11,7 +11,7 @@ import numpy as np
 
 from motes.applications.aircraft import scenario
 from motes.applications.aircraft.model import Flight, Radar, jumping
-from motes.applications.aircraft.pictures import track_figure
+from motes.applications.aircraft.pictures import plane, track_figure
 from motes.applications.aircraft.reports import REPORT, Reports
 from motes.applications.aircraft.settings import Settings
 from motes.applications.aircraft.world import flown_reports
@@ -27,6 +27,7 @@ from motes.io.result_table import Table
 from motes.io.units import back_to
 from motes.laws.observed import value_of
 from motes.plotting.plot import plot
+from motes.report.scene import Scene
 
 FILE = "reports.csv"
 
@@ -109,6 +110,10 @@ class AircraftJob(Job):
         spreads = deviations(history.cov)
         places = {name: back_to(place, own_unit(self.data, name), "deg") for name, place in places.items()}
         return self.way(history, places, {"east, m": spreads[:, 0], "north, m": spreads[:, 1]})
+
+    def scene(self) -> Scene:
+        """Return the plane in kilometers, with the radar; the states can be chosen, too."""
+        return plane(tuple(self.model.names), np.asarray(self.plots.truth), "Aircraft")
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the plane with error and turns, and the states."""

@@ -1,4 +1,4 @@
-"""Picture of a tracked aircraft: the plane seen from the radar, the error, and how sure the filter is that the aircraft turns."""
+"""Pictures of a tracked aircraft: the plane seen from the radar, the error, and how sure the filter is that the aircraft turns."""
 
 from typing import Any
 
@@ -8,6 +8,7 @@ from motes.applications.aircraft.scenario import Track
 from motes.filters.history import History
 from motes.laws.observed import value_of
 from motes.plotting.figures import ESTIMATE, INERTIAL, TRUE, legend_below, new_figure, tidy
+from motes.report.scene import Marks, Scene
 
 MARGIN = 0.06
 """Room about what the plane shows, as a share of it."""
@@ -59,3 +60,20 @@ def _plane(axes: Any, history: History, job: Track) -> None:
     room = MARGIN * (high - low).max()
     axes.set(title="Plane", xlabel="east, km", ylabel="north, km", aspect="equal",
              xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))  # fmt: skip
+
+
+def plane(names: tuple[str, ...], truth: np.ndarray | None, title: str) -> Scene:
+    """Return the plane about a radar in kilometers.
+
+    Args:
+        names: of the states, the first two east and north in meters.
+        truth: true states `(t, k)` of the first k, or None.
+        title: of the scene.
+    """
+    known = np.full((0, 2 + len(names)), np.nan)
+    if truth is not None:
+        known = np.full((len(truth), 2 + len(names)), np.nan)
+        known[:, :2], known[:, 2 : 2 + truth.shape[1]] = truth[:, :2] / 1e3, truth
+    return Scene(names=("to the east", "to the north", *names), units=("km", "km"), title=title, truth=None if truth is None else known,
+                 place=lambda points, u, step: np.concatenate([points[:2] / 1e3, points]),
+                 marks=(Marks("radar", np.zeros((1, 2))),))  # fmt: skip

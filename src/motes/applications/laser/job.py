@@ -11,7 +11,7 @@ import numpy as np
 from motes.applications.interface import Job, Score, with_cloud
 from motes.applications.laser.grid import Grid, read_grid, write_grid
 from motes.applications.laser.model import LikelihoodField, laser_model, poses_of, seeking, usual
-from motes.applications.laser.pictures import building_animation, building_figure
+from motes.applications.laser.pictures import building_animation, building_figure, floor
 from motes.applications.laser.scans import Scans, check_reach, read_scan_topics, read_scans, write_scans
 from motes.applications.laser.settings import Settings
 from motes.applications.laser.world import driven
@@ -22,6 +22,7 @@ from motes.filters.history import History
 from motes.filters.particle import ParticleFilter
 from motes.filters.recovering import Recovering
 from motes.io.bags import is_bag
+from motes.report.scene import Scene
 
 MAP, SCANS = "map.yaml", "scans.csv"
 SIZES, CELLS = (2_000, 10_000, 50_000), (0.5, 0.5, 0.2)
@@ -94,6 +95,12 @@ class LaserJob(Job):
         """Say how many clusters the last law has, and whether to trust the run."""
         weights = np.asarray(history.state.law.modes(8).weight)
         return f"At the end the robot is in one of {int((weights > 0.05).sum())} clusters. {history}"
+
+    def scene(self) -> Scene:
+        """Return the floor of the building."""
+        picture, extent = floor(self.grid)
+        return Scene(names=tuple(self.model.names), units=("m", "m", "rad"), picture=picture, extent=extent, title="Laser",
+                     truth=None if self.truth is None else np.asarray(self.truth), angles=tuple(self.model.circular))  # fmt: skip
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the building with the way, and the particles in motion."""

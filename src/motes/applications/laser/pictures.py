@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from motes.applications.laser.grid import Grid
 from motes.filters.history import History
 from motes.laws.clusters import Clusters, clusters
 from motes.plotting.animation import Animation, moments
@@ -66,6 +67,14 @@ def building_animation(history: History, job: Any) -> Animation:
     return Animation(draw, len(shown))
 
 
+def floor(grid: Grid) -> tuple[np.ndarray, tuple[float, float, float, float]]:
+    """Return a map as a picture, uint8 `(rows, columns, 3)`, north at the top, and what it covers: west, east, south, north, m."""
+    x, y = grid.origin
+    rows, columns = grid.occupied.shape
+    shades = np.where(grid.occupied, 64, np.where(grid.free, 255, 217)).astype(np.uint8)[::-1]
+    return np.repeat(shades[..., None], 3, axis=2), (x, x + columns * grid.resolution, y, y + rows * grid.resolution)
+
+
 def _wide(history: History) -> np.ndarray:
     """Whether the robot may be at places that lie apart, at each step."""
     return np.einsum("tii->t", np.asarray(history.cov, np.float64)[:, :2, :2]) > APART**2
@@ -78,11 +87,8 @@ def _clusters_of(points: jax.Array) -> Clusters:
 
 
 def _draw(axes: Any, history: History, job: Any, step: int) -> None:
-    grid, (x, y) = job.grid, job.grid.origin
-    rows, columns = grid.occupied.shape
-    shades = np.where(grid.occupied, 0.25, np.where(grid.free, 1.0, 0.85))
-    extent = (x, x + columns * grid.resolution, y, y + rows * grid.resolution)
-    axes.imshow(shades, cmap="gray", vmin=0, vmax=1, origin="lower", extent=extent, interpolation="nearest")
+    picture, extent = floor(job.grid)
+    axes.imshow(picture, origin="upper", extent=extent, interpolation="nearest")
     if job.truth is not None:
         # a line across the jump of a kidnapping would be no way
         way = np.array(job.truth[: step + 1, :2])

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from motes.applications.interface import Job, Score
 from motes.applications.robot import scenario
@@ -20,8 +21,11 @@ from motes.filters.interface import Filter
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.io.recordings import write_plaza
 from motes.plotting.plot import plot
+from motes.report.scene import Marks, Scene
 
 FILE = "recording.mat"
+ROOM = 5.0
+"""Meters about way and beacons that a page shows."""
 
 
 def load(settings: Settings, seed: int) -> "RobotJob":
@@ -83,6 +87,16 @@ class RobotJob(Job):
     def diagnosed(self, history: History) -> Diagnosis:
         """Judge by what else is known of the radios."""
         return scenario.diagnosed(history, self.scenario)
+
+    def scene(self) -> Scene:
+        """Return the plane with the beacons."""
+        made, names = self.scenario, tuple(self.model.names)
+        truth = np.full((len(made.times), len(names)), np.nan)
+        truth[made.scored, :3] = made.truth
+        around = np.concatenate([made.truth[:, :2], made.beacons])
+        low, high = np.nanmin(around, axis=0) - ROOM, np.nanmax(around, axis=0) + ROOM
+        return Scene(names=names, units=("m", "m", "rad"), truth=truth, angles=tuple(self.model.circular), title="Robot",
+                     extent=(low[0], high[0], low[1], high[1]), marks=(Marks("beacon", made.beacons),))  # fmt: skip
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the way with its errors and the scale, and the states."""

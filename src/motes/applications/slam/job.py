@@ -23,9 +23,12 @@ from motes.filters.landmark import LandmarkFilter
 from motes.io.bags import is_bag
 from motes.io.recordings import write_plaza
 from motes.laws.cloud import Cloud
+from motes.report.scene import Moving, Scene
 from motes.smoothers.genealogy import GenealogySmoother
 from motes.smoothers.smooth import smooth
 
+TENTH = 10
+"""Part of the way that odometry alone tells well enough to lay the true one on."""
 RANGES, GRAPH = "recording.mat", "recording.txt"
 
 
@@ -125,6 +128,17 @@ class SlamJob(Job):
         return (f"{seen.sum()} of {len(seen)} landmarks are on the map; standard deviation of their places {np.median(spread[seen]):.2f} m "
                 f"(median), {spread[seen].max():.2f} m (worst). {history}")  # fmt: skip
 
+    def scene(self) -> Scene:
+        """Return the plane from where the robot began, with its landmarks; the true way is laid on the first part of that by odometry."""
+        names, truth = tuple(self.model.names), None
+        if self.way.truth is not None:
+            truth = np.full((len(self.way.truth), len(names)), np.nan)
+            known = np.flatnonzero(~np.isnan(self.way.truth).any(axis=1))
+            begin = known[: max(3, len(known) // TENTH)]
+            truth[:, :2] = laid_on(self.way.alone[begin], self.way.truth[begin])(self.way.truth)
+        return Scene(names=names, units=("m", "m", "rad"), truth=truth, judged=(), title="Robot without a map",
+                     moving=Moving("landmark", _mapped), angles=tuple(self.model.circular))  # fmt: skip
+
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the map with the ways, and how it came to be."""
         from motes.applications.slam.pictures import map_animation, map_figure
@@ -138,6 +152,11 @@ class SlamJob(Job):
             return settings
         self.write(folder)
         return replace(settings, data=str(folder / self.file))
+
+
+def _mapped(law: Any) -> Any:
+    found = law.landmarks()
+    return jnp.where(found.seen[:, None] > 0, found.mean[:, :2], jnp.nan)
 
 
 def _filtered(history: History) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from motes.applications.aircraft.pictures import plane
 from motes.applications.interface import Score, deviations
 from motes.applications.target_tracking.shared import LOST, RadarJob
 from motes.applications.target_tracking.world import range_rate
@@ -17,6 +18,7 @@ from motes.io.named_tables import own_unit
 from motes.io.result_table import Table
 from motes.io.units import back_to
 from motes.models.state_space import StateSpaceModel
+from motes.report.scene import Scene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,6 +86,10 @@ class TrackingJob(RadarJob):
                  "azimuth": back_to(np.degrees(np.arctan2(east, north)) % 360, own_unit(self.data, "azimuth"), "deg")}  # fmt: skip
         spreads = deviations(history.cov)
         return self.way(history, polar | {"east, m": east, "north, m": north}, {"east, m": spreads[:, 0], "north, m": spreads[:, 1]})
+
+    def scene(self) -> Scene:
+        """Return the plane in kilometers, with the radar."""
+        return plane(tuple(self.model.names), None if self.truth is None else np.asarray(self.truth), "Radar")
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the plane, range rate and errors, once as a picture and once as an animation."""

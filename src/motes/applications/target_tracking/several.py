@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motes.applications.interface import Score
+from motes.applications.interface import Moment, Score
 from motes.applications.target_tracking.model import Tracker
 from motes.applications.target_tracking.shared import LOST, RadarJob
 from motes.applications.target_tracking.tracks import follow
@@ -59,6 +59,10 @@ class SeveralJob(RadarJob):
             checks.refuse("smoother", "none where several targets are followed", "one")
         # a track that explains no scan ends by its existence
         yield follow(seed, replace(filter, on_collapse="predict"), self.tracker, self.times, ys, self.radar)
+
+    def moments(self) -> Iterator[Moment]:
+        """Refuse: tracks begin and end by themselves, and there is no one law to look at."""
+        checks.refuse("watch", "one target (targets = 1)", f"{len(self.targets) or 'an unknown number of'} targets")
 
     def title(self, steps: int) -> str:
         """Return how many scans and targets there were."""

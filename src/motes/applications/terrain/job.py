@@ -10,7 +10,7 @@ import numpy as np
 from motes.applications.interface import Job, Score, deviations
 from motes.applications.terrain import scenario
 from motes.applications.terrain.model import corrected, places_of
-from motes.applications.terrain.pictures import Tracks, error_figure, map_figure
+from motes.applications.terrain.pictures import Tracks, error_figure, map_figure, relief
 from motes.applications.terrain.recording import roles, units_of
 from motes.applications.terrain.roughness import roughness
 from motes.applications.terrain.settings import Recording, Settings
@@ -21,6 +21,7 @@ from motes.io.archive import whole_file
 from motes.io.result_table import Table
 from motes.io.units import back_to
 from motes.plotting.plot import plot
+from motes.report.scene import Marks, Scene
 
 PARTICLES = 15_000
 COLUMNS = ("time", "ins_north", "ins_east", "ins_altitude", "height", "true_north", "true_east")
@@ -97,6 +98,24 @@ class TerrainJob(Job):
                for place, (role, name) in zip(places, list(roles(recording).items())[bool(recording.time):], strict=False)]  # fmt: skip
         return self.way(history, dict(zip(recording.inertial, own, strict=True)),
                         dict(zip(("north, m", "east, m", "altitude, m"), spreads.T, strict=True)))  # fmt: skip
+
+    def scene(self) -> Scene:
+        """Return the map in kilometers, with the inertial track; the states, which are errors of that, can be chosen, too."""
+        flight, names = self.flight, tuple(self.model.names)
+        inertial = np.stack([np.asarray(flight.inputs.east), np.asarray(flight.inputs.north)], axis=1) / 1e3
+        picture, extent = relief(flight.terrain)
+
+        def place(points: np.ndarray, u: Any, step: int) -> np.ndarray:
+            north, east, _ = corrected(u, points.T, names)  # type: ignore[reportArgumentType]
+            return np.concatenate([np.stack([east, north]) / 1e3, points])
+
+        truth = np.full((len(inertial), 2 + len(names)), np.nan)
+        if flight.truth is not None:
+            truth[:, :2] = np.asarray(flight.truth)[:, 1::-1] / 1e3
+        if flight.errors is not None:
+            truth[:, 2:] = np.asarray(flight.errors)
+        return Scene(names=("east", "north", *names), units=("km", "km"), place=place, picture=picture, extent=extent, title="Terrain",
+                     truth=None if flight.truth is None else truth, marks=(Marks("inertial track", inertial, "line"),))  # fmt: skip
 
     def pictures(self, histories: Mapping[str, History]) -> dict[str, Any]:
         """Draw the map with the tracks, the errors, and the states."""

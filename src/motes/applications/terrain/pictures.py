@@ -87,6 +87,22 @@ def ground(axes: Any, terrain: TerrainMap) -> Any:
                        origin="lower", extent=extent, alpha=0.45)
 
 
+def relief(terrain: TerrainMap) -> tuple[np.ndarray, tuple[float, float, float, float]]:
+    """Return the map as a picture, uint8 `(rows, columns, 3)`, north at the top, and what it covers: west, east, south, north, km."""
+    heights = np.asarray(terrain.heights, np.float64)[::-1]
+    void = np.isnan(heights)
+    filled = np.where(void, np.nanmean(heights), heights)
+    lowest, highest = float(filled.min()), float(filled.max())
+    light = need("matplotlib.colors", "results").LightSource(azdeg=315, altdeg=45)
+    shade = light.hillshade(filled, vert_exag=2.0, dx=float(terrain.de), dy=float(terrain.dn))[..., None]
+    share = 0.26 + 0.74 * (filled - lowest) / max(highest - lowest, 1e-9)
+    tint = need("matplotlib", "results").colormaps["gist_earth"](share)[..., :3]
+    picture = np.where(void[..., None], 0.6, 0.55 * shade + 0.45 * tint)
+    north, east = (float(side) / 1e3 for side in terrain.size)
+    half_row, half_column = float(terrain.dn) / 2e3, float(terrain.de) / 2e3
+    return (255 * np.clip(picture, 0, 1)).astype(np.uint8), (-half_column, east + half_column, -half_row, north + half_row)
+
+
 def _reach(terrain: TerrainMap, tracks: list[Any], side: int) -> tuple[float, float]:
     """Return from where to where the picture goes, km: the tracks and some map around them."""
     along = np.concatenate([np.asarray(track[side]) for track in tracks])

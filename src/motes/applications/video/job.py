@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import islice
+from itertools import islice, tee
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.applications.interface import Job, Score, with_cloud
+from motes.applications.interface import Job, Moment, Score, with_cloud
 from motes.applications.video.frames import looked_at, steps_alone
 from motes.applications.video.learning import first_memory
 from motes.applications.video.model import CUES, Look, followed
@@ -34,6 +34,7 @@ from motes.io.clips import Clip, read_clip, write_clip
 from motes.io.result_table import Table
 from motes.io.tables import read_table
 from motes.models.interface import Model
+from motes.report.scene import Scene
 from motes.resampling.policy import Always
 
 SMALLEST = 8
@@ -207,6 +208,16 @@ class VideoJob(Job):
         """Return how many pictures there are, at most."""
         source = self.ys.source
         return self.ys.count or (source.count - self.ys.first if source.count else None)
+
+    def moments(self) -> Iterator[Moment]:
+        """Give the pictures as the first target is looked for in them, and as they are."""
+        shown, seen = tee(self.ys.shown())
+        for step, (picture, y) in enumerate(zip(shown, looked_at(seen, (self.targets[0].look.stride,)), strict=True)):
+            yield Moment(y, None, float((self.ys.first + step) / self.rate), picture)
+
+    def scene(self) -> Scene:
+        """Return the picture in pixels with the box of the first target."""
+        return self.targets[0].scene()
 
     def told(self) -> str:
         """Tell what is followed, and how."""

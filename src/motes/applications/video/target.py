@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.recovering import Recovering
 from motes.models.state_space import StateSpaceModel
+from motes.report.scene import Moving, Scene
 
 LOST = -0.7
 """Score of the estimate below which the target is lost."""
@@ -80,12 +82,30 @@ class Target:
         off = np.hypot(*(ours[:, :2] + ours[:, 2:] / 2 - true[:, :2] - true[:, 2:] / 2).T)
         return np.stack([off, overlap(ours, true)])
 
+    def scene(self) -> Scene:
+        """Return the picture in pixels, rows downward, with the box."""
+        width, height = self.size
+        names, last = tuple(self.model.names), max(self.boxes, default=-1) - self.first
+        truth = np.full((max(last, -1) + 1, len(names)), np.nan)
+        for number, box in self.boxes.items():
+            if number >= self.first:
+                truth[number - self.first, :2] = box[:2] + box[2:] / 2
+        return Scene(names=names, units=("pixels", "pixels"), extent=(0, width, height, 0), title="Video",
+                     truth=truth if len(truth) else None, moving=Moving("box", _corners, "line"))  # fmt: skip
+
     def verdict(self, history: History) -> str:
         """Tell where the target was lost."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.is_lost(history), [False]]).astype(int))).reshape(-1, 2)
         spans = [f"{self.first + begin} to {self.first + end - 1}" for begin, end in edges]
         shown = f"{', '.join(spans[:SPANS])}{' ...' if len(spans) > SPANS else ''}"
         return f"Lost (score below {LOST}, or sought anew) in pictures {shown}." if spans else "Never lost."
+
+
+def _corners(law: Any) -> jax.Array:
+    """Return the corners `(4, 2)` of the box of a law that carries the memory of the target."""
+    mean = law.mean()
+    reach = sides(mean[2], law.beside) / 2
+    return mean[:2] + reach * jnp.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], mean.dtype)
 
 
 def overlap(ours: np.ndarray, true: np.ndarray) -> np.ndarray:
