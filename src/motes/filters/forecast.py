@@ -89,8 +89,7 @@ def forecast(  # noqa: PLR0913 (a history knows filter and model, but one of a f
     if np.ndim(history.info.ess) != 1:
         checks.refuse("forecast history", "one run", f"{np.shape(history.info.ess)[0]} of them",
                       "Write jax.vmap(lambda history: mo.forecast(history, steps))(histories).")  # fmt: skip
-    known = history.made_by
-    if known is not None:
+    if (known := history.made_by) is not None:
         filter, model = filter or known.filter, model or known.model
     if filter is None or model is None:
         checks.refuse("forecast history", "one that knows its filter and model", "one from a file or from compiled code",

@@ -14,6 +14,7 @@ from motes.core.logspace import RunningSum
 from motes.filters.info import Info
 from motes.io import archive
 from motes.io.labels import Labels
+from motes.io.members import Form
 from motes.laws.observed import Observed
 from motes.laws.spelled import UnspelledError, restored
 
@@ -126,3 +127,16 @@ def restored_labels(path: Path, index: np.ndarray | None, texts: dict[str, Any])
         checks.refuse(f"{path}: labels", "times with a unit and names of columns", "others", "Restore it from a copy.", checks.FileError)
     index = index if not unit or index is None else index.astype(np.int64).view(unit)
     return Labels(index, tuple(columns), words["name"], words["zone"], words["period"])
+
+
+def stored_shapes(tree: Any) -> Any:
+    """Return the shapes of a tree of what a file holds."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), tree, is_leaf=lambda leaf: isinstance(leaf, Form))
+
+
+def measured_shapes(stored: Any, dtype: Any) -> Any:
+    """Return the shapes of a measurement that a file holds."""
+    if not isinstance(stored, dict):
+        return jax.ShapeDtypeStruct(stored.shape, dtype)
+    shapes = stored_shapes(stored)
+    return Observed(shapes.get("value"), shapes["there"])

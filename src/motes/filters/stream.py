@@ -16,7 +16,7 @@ from motes.core.types import Inputs, KeyLike
 from motes.filters.data import checked_data, is_array, refuse_infinite
 from motes.filters.frames import stream_facts
 from motes.filters.history import Carry, History, ask_evidence
-from motes.filters.history_files import measurement_form
+from motes.filters.history_files import measured_shapes, measurement_form, stored_shapes
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.late import Past, joined_measurement
@@ -25,7 +25,6 @@ from motes.filters.resized import resized
 from motes.filters.setup import carry_like
 from motes.filters.stream_steps import advance, handed_on, move, start, take_in
 from motes.io import archive
-from motes.io.members import Form
 from motes.laws.observed import Observed, nothing_like, value_of
 from motes.models.canonical import shape_of
 from motes.models.interface import Model
@@ -315,9 +314,9 @@ class Stream:
 
         def like(carry: dict[str, Any]) -> Carry:
             # what a header says is a tuple, and would be taken apart
-            stored = jax.tree.map(_shape, carry.get("u"), is_leaf=lambda leaf: isinstance(leaf, Form))
+            stored = stored_shapes(carry.get("u"))
             u = stored if inputs is None else numbers_of("stream inputs", inputs)
-            return carry_like(filter, model, u, _measured(carry["y"], model.dtype))
+            return carry_like(filter, model, u, measured_shapes(carry["y"], model.dtype))
 
         def check(forms: dict[str, Any], texts: dict[str, Any]) -> None:
             for name, own in (("filter", repr(filter)), ("names", list(model.names))):
@@ -334,18 +333,6 @@ class Stream:
         stream._fit(carry.u, carry.y)
         stream._updated = bool(texts.get("updated"))
         return stream
-
-
-def _shape(leaf: Any) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype)
-
-
-def _measured(stored: Any, dtype: Any) -> Any:
-    """Return the shapes of a measurement that a file holds."""
-    if not isinstance(stored, dict):
-        return jax.ShapeDtypeStruct(stored.shape, dtype)
-    shapes = jax.tree.map(_shape, stored, is_leaf=lambda leaf: isinstance(leaf, Form))
-    return Observed(shapes.get("value"), shapes["there"])
 
 
 def _in_short(form: Any) -> str:
