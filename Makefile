@@ -62,6 +62,7 @@ test-newest:
 lint: $(STAMP)
 	@$(BIN)/ruff check .
 	@$(BIN)/pyright
+	@$(BIN)/pyright -p tests/typing --pythonpath $(BIN)/python
 	@$(BIN)/python tests/layering/budgets.py
 
 bench: $(BENCH)/.installed

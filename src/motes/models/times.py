@@ -56,7 +56,7 @@ def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensor
         # numbers among stamps are seconds
         stamped = stamps if isinstance(stamps, Labels) else labels_of("times stamps", stamps)
         stamped = None if stamped is None or not stamped.are_times else stamped
-        start, seconds = instants.times(stamped.index if isinstance(stamps, Labels) else stamps, name="times stamps")
+        start, seconds = instants.times(stamps.index if isinstance(stamps, Labels) else stamps, name="times stamps")
         ys, own = tabular.unlabelled("times ys", ys)
         if own is not None and own.columns and stamped is not None:
             stamped = replace(stamped, columns=own.columns)
