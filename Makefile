@@ -65,6 +65,7 @@ test-newest:
 lint: $(STAMP)
 	@$(BIN)/ruff check .
 	@$(BIN)/pyright
+	@$(BIN)/pyright -p tests/typing --pythonpath $(BIN)/python
 	@$(BIN)/python tests/layering/budgets.py
 
 # the site under out/site, without a network and with warnings as errors; tutorials are run, and kept in out/notebooks until they

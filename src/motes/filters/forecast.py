@@ -89,11 +89,7 @@ def forecast(  # noqa: PLR0913 (a history knows filter and model, but one of a f
     if np.ndim(history.info.ess) != 1:
         checks.refuse("forecast history", "one run", f"{np.shape(history.info.ess)[0]} of them",
                       "Write jax.vmap(lambda history: mo.forecast(history, steps))(histories).")  # fmt: skip
-    if (known := history.made_by) is not None:
-        filter, model = filter or known.filter, model or known.model
-    if filter is None or model is None:
-        checks.refuse("forecast history", "one that knows its filter and model", "one from a file or from compiled code",
-                      "Give both: mo.forecast(history, steps, filter=..., model=...).")  # fmt: skip
+    filter, model = _made_by(history, filter, model)
     inputs = _inputs_ahead(history, steps, inputs)
     last = history.last.y
     ys = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (steps, *jnp.shape(leaf))), nothing_like(last))
@@ -109,6 +105,17 @@ def forecast(  # noqa: PLR0913 (a history knows filter and model, but one of a f
     if measured is not None:
         measured = Predictive(*measured, _names_measured(history, model, measured[0].shape[-1]), labels, ahead.start)
     return Forecast(states, measured, history)
+
+
+def _made_by(history: History, filter: Filter | None, model: Model | None) -> tuple[Filter, Model]:
+    """Return the filter and the model that were given, or those of the run."""
+    known = history.made_by
+    if filter is not None and model is not None:
+        return filter, model
+    if known is None:
+        checks.refuse("forecast history", "one that knows its filter and model", "one from a file or from compiled code",
+                      "Give both: mo.forecast(history, steps, filter=..., model=...).")  # fmt: skip
+    return filter or known.filter, model or known.model
 
 
 def _names_measured(history: History, model: Model, size: int) -> tuple[str, ...]:

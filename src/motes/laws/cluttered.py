@@ -96,7 +96,7 @@ class Cluttered(Conditional):
         if sensor.measures_anything and not isinstance(sensor, Custom):
             checks.refuse("Cluttered sensor", "a sensor of one plot, a vector", type(sensor).__name__)
         if isinstance(sensor, AdditiveGaussian) and not callable(sensor.Q):
-            checks.covariance("Cluttered sensor Q", sensor.Q, jnp.shape(sensor.Q)[0], definite=True)
+            checks.covariance("Cluttered sensor Q", sensor.Q, np.shape(sensor.Q)[0], definite=True)
         if not callable(detection):
             checks.above_zero("Cluttered detection", detection, 1)
             detection = checks.as_float("Cluttered detection", detection)

@@ -236,7 +236,7 @@ class LinearGaussian(AdditiveGaussian):
         A = check_matrix("LinearGaussian A", A)
         AdditiveGaussian.__init__(self, _linear, Q, angles)
         if not callable(A) and not callable(self.Q):
-            rows = jnp.shape(A)[0]
+            rows = np.shape(A)[0]
             checks.shape("LinearGaussian Q", self.Q, (rows, rows), "(rows of A)")
         object.__setattr__(self, "A", A)
         object.__setattr__(self, "live", None)

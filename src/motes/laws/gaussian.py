@@ -1,7 +1,7 @@
 """The Gaussian law: affine maps of it and conditioning on measurements; Kalman filters are written with these two alone."""
 
 from collections.abc import Sequence
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ class Gaussian(Law):
     center: jax.Array
     covariance: jax.Array
 
-    def __init__(self, mean: ArrayLike, cov: ArrayLike):
+    def __init__(self, mean: ArrayLike | Sequence[Any], cov: ArrayLike | Sequence[Any]):
         """Check shapes and, where the numbers are known, that the covariance is one.
 
         Args:

@@ -1,6 +1,7 @@
 """Mixtures of Gaussians."""
 
-from typing import Self
+from collections.abc import Sequence
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +43,7 @@ class Mixture(Law):
     log_weights: jax.Array
 
     @classmethod
-    def of(cls, weights: ArrayLike, means: ArrayLike, covs: ArrayLike) -> "Mixture":
+    def of(cls, weights: ArrayLike | Sequence[Any], means: ArrayLike | Sequence[Any], covs: ArrayLike | Sequence[Any]) -> "Mixture":
         """Build a mixture from weights `(n,)`, means `(x, n)` and covariances `(x, x, n)`.
 
         Raises:

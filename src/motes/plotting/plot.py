@@ -65,7 +65,8 @@ def plot(result: Any, truth: Any = None, bound: Any = None, states: Sequence[str
         checks.refuse("plot states", f"none beside a {type(result).__name__}", states)
     if isinstance(result, StudyResult):
         return study_figure(result, bound)
-    for kind, draw in ((Bound, bound_figure), (Plan, plan_figure), (Chains, chains_figure)):
+    figures: dict[type, Any] = {Bound: bound_figure, Plan: plan_figure, Chains: chains_figure}
+    for kind, draw in figures.items():
         if isinstance(result, kind):
             return draw(result)  # type: ignore[arg-type]
     checks.refuse("plot result", KINDS, type(result).__name__)
