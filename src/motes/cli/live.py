@@ -22,7 +22,7 @@ ENDING = ".live.npz"
 """Of the file that keeps a run."""
 
 
-def carried_out(wish: Asked) -> None:
+def run_live(wish: Asked) -> None:
     """Run a filter on what comes.
 
     Raises:
@@ -72,7 +72,7 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
     """Return a run that is ready to go, and the file that keeps it.
 
     Raises:
-        MotesError: see `carried_out`.
+        MotesError: see `run_live`.
     """
     from motes.live.checkpoint import Checkpoint
     from motes.live.counts import LOG

@@ -34,7 +34,7 @@ def main(words: Sequence[str]) -> None:
     if wish.settings.live.on or wish.settings.live.source:
         from motes.cli import live
 
-        live.carried_out(wish)
+        live.run_live(wish)
         return
     if processes.started("run", words, wish.settings):
         return

@@ -31,10 +31,10 @@ def main(words: Sequence[str]) -> None:
     Raises:
         MotesError: an option, a file or the user's function cannot be used.
     """
-    carried_out(asked(Watch, words, USAGE))
+    watched(asked(Watch, words, USAGE))
 
 
-def carried_out(wish: Asked, written: Any = None) -> None:
+def watched(wish: Asked, written: Any = None) -> None:
     """Run the first filter, show it, and write its report.
 
     Args:
@@ -156,4 +156,4 @@ def shown_demo(name: str, words: Sequence[str], write: Any) -> None:
         write(path, wish, job)
         print(f"The same from its files: motes watch {path}")
 
-    carried_out(wish, written)
+    watched(wish, written)

@@ -201,7 +201,7 @@ def _of_each_step(  # noqa: PLR0913 (what a step is given, and what is known of 
             mean, cov = of_all.mean(), of_all.cov()
         if gaussian:
             return mean, cov, None
-        ys = whole.sample(random.child(key, 1), _points(random.child(key, 0), law, draws, with_mode), u, t)
+        ys = whole.sample(random.child(key, 1), _points_drawn(random.child(key, 0), law, draws, with_mode), u, t)
         equal = jnp.full((draws,), -np.log(draws), ys.dtype)
         ys = gathered(ys, equal, whole.angles) if whole.angles else ys
         return *(weighted_moments(equal, ys) if line == CURVED else (mean, cov)), ys
@@ -210,7 +210,7 @@ def _of_each_step(  # noqa: PLR0913 (what a step is given, and what is known of 
     return jax.lax.map(at, (keys, laws, inputs, steps))
 
 
-def _points(key: jax.Array, law: Law, n: int, with_mode: bool) -> jax.Array:
+def _points_drawn(key: jax.Array, law: Law, n: int, with_mode: bool) -> jax.Array:
     """Draw n states, `(x, n)`, with the mode as one more where the sensor is to be told."""
     if not (with_mode and isinstance(law, ModeMixture)):
         return law.sample(key, n)

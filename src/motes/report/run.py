@@ -101,7 +101,7 @@ def film_of(history: History, scene: Scene | None, truth: Any, inputs: Any, titl
     wanted = sorted(shown | set(range(0, steps, max(1, -(-steps // ROWS)))))
     frames, rows = [], []
     for step in wanted:
-        points = _points(history, step) if step in shown else None
+        points = _points_kept(history, step) if step in shown else None
         one = frame((step, first + step, float(times[step])), Seen(mean[step], cov[step], *(points or ())), scene, at(inputs, step))
         numbers = (np.nan, float(info.ess[step]), float(info.log_evidence[step]), bool(info.alarm[step]))
         rows.append(row(one, scene, numbers))
@@ -122,7 +122,7 @@ def at(tree: Any, step: int) -> Any:
     return jax.tree.map(lambda leaf: np.asarray(leaf[step]), tree)
 
 
-def _points(history: History, step: int) -> tuple[np.ndarray, np.ndarray] | None:
+def _points_kept(history: History, step: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Return particles and log weights of a step, where they were kept."""
     if "cloud" in history.kept:
         cloud = np.asarray(history.kept["cloud"][step])
