@@ -27,7 +27,7 @@ SILENT = 10.0
 """Seconds that a connection may take to ask."""
 QUICKEST, QUIET = 1 / 40, 0.1
 """Seconds between two looks at the slot, with a page and with none."""
-SHARE = 0.1
+SHARE = 0.25
 """Share of a processor that looking may take."""
 PER_PAGE = 1e-3
 """Seconds between looks that one more page adds."""
@@ -166,7 +166,8 @@ class Server:
             if session is None:
                 return PlainTextResponse("token: wrong. " + REFUSED, 401)
             # the page goes on by itself: a cookie of this kind does not come along on the way from another site
-            found = HTMLResponse('<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url=/"><title>motes</title>')
+            found = HTMLResponse('<!DOCTYPE html><meta charset="utf-8"><link rel="icon" href="data:,"><title>motes</title>'
+                                 '<meta http-equiv="refresh" content="0; url=/">')  # fmt: skip
             found.set_cookie(self.guard.cookie, session, httponly=True, samesite="strict", path="/")
             return found
 
