@@ -103,7 +103,12 @@ class Filter(ABC):
         return values(self).get("n")
 
     def with_particles(self, n: int) -> "Filter":
-        """Return the same filter with n particles; with the least number above, where it cannot have every number."""
+        """Return the same filter with n particles; with the least number above, where it cannot have every number.
+
+        Raises:
+            MotesError: n is no positive whole number.
+        """
+        checks.positive_integer(f"{type(self).__name__} n", n)
         return replace(self, n=n)
 
     @property
