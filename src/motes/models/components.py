@@ -51,7 +51,10 @@ def assembled(components: Sequence[Component], irregular: Any, initial: Any) -> 
     """
     names = tuple(name for part in components for name in part.names)
     variances = jnp.stack([jnp.asarray(value, jnp.result_type(float)) for part in components for value in part.variances])
-    A = jax.scipy.linalg.block_diag(*(jnp.asarray(part.A, variances.dtype) for part in components))
+    A, first = jnp.zeros((len(names), len(names)), variances.dtype), 0
+    for part in components:
+        own = slice(first, first + len(part.names))
+        A, first = A.at[own, own].set(jnp.asarray(part.A, A.dtype)), own.stop
     known = jnp.concatenate([jnp.asarray(part.row, variances.dtype) for part in components if part.row is not None] or [variances[:0]])
     sensor = LinearGaussian(known[None], as_variance("irregular", irregular)[None, None])
     if len(known) < len(names):
