@@ -1,10 +1,10 @@
-# docker build -t motes . && docker run --rm -v "$PWD/out:/work/out" motes demo
+# docker build -t motes . && docker run --rm -v "$PWD/out:/motes/out" motes demo
 FROM python:3.13-slim
 RUN apt-get update && apt-get install -y --no-install-recommends g++ libexpat1 && rm -rf /var/lib/apt/lists/*
 COPY pyproject.toml README.md LICENSE /src/
 COPY src /src/src
 RUN pip install --no-cache-dir "/src[all]"
-RUN useradd --create-home motes && mkdir /work && chown motes /work
+RUN useradd --create-home motes && mkdir /motes && chown motes /motes
 USER motes
-WORKDIR /work
+WORKDIR /motes
 ENTRYPOINT ["motes"]
