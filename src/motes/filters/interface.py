@@ -106,9 +106,11 @@ class Filter(ABC):
         """Return the same filter with n particles; with the least number above, where it cannot have every number.
 
         Raises:
-            MotesError: n is no positive whole number.
+            MotesError: n is no positive whole number, or the filter has no particles.
         """
         checks.positive_integer(f"{type(self).__name__} n", n)
+        if self.particle_count is None:
+            checks.refuse("with_particles filter", "one with a number of particles n", type(self).__name__)
         return replace(self, n=n)
 
     @property
