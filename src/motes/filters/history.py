@@ -255,6 +255,9 @@ class History:
         """Return an `xarray.Dataset` with dimensions time, state and state2, and run where it is of many runs (extra `results`).
 
         Dates are dates, in UTC where they had a time zone (`attrs["zone"]`); other times are seconds; steps where there are no times.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
         """
         return frames.dataset(self)
 
@@ -264,6 +267,9 @@ class History:
         Columns: mean and standard deviation of each state (`px`, `px_sd`), probabilities of modes where they were kept, effective sample
         size, log evidence, squared innovation, whether the alarm rang and whether all weights vanished. Of many runs (by `jax.vmap`) the
         first levels of the index are their numbers.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
         """
         return frames.frame(self)
 

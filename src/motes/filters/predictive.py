@@ -77,6 +77,10 @@ class Predictive:
 
         Args:
             level: probability of the interval.
+
+        Raises:
+            MotesError: the level does not lie between 0 and 1.
+            MissingExtraError: pandas is not installed.
         """
         columns = frames.mean_and_sd(self.names, self.mean, self.cov)
         for place, name in enumerate(self.names):

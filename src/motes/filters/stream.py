@@ -122,6 +122,9 @@ class Stream:
     def resize(self, filter: Filter) -> None:
         """Go on with the same filter of another number of particles, drawn from the present law; steps before cannot be gone back to.
 
+        Args:
+            filter: that other one, such as `stream.filter.with_particles(500)`.
+
         Raises:
             MotesError: the law has no particles that can be drawn.
         """

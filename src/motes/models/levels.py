@@ -9,9 +9,11 @@ from motes.models.state_space import StateSpaceModel
 
 
 def local_level(irregular: Any, level: Any, initial: Any = WIDE) -> StateSpaceModel:
-    """A level that walks at random, measured with noise (Harvey 1989, section 2.3): states `level`.
+    """A level that walks at random, measured with noise: states `level`.
 
         y_t = level_t + N(0, irregular),   level_{t+1} = level_t + N(0, level)
+
+    Source: Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, section 2.3.
 
     Example:
         >>> model = mo.models.local_level(irregular=15_099.0, level=1_469.0)
@@ -28,11 +30,13 @@ def local_level(irregular: Any, level: Any, initial: Any = WIDE) -> StateSpaceMo
 
 
 def local_linear_trend(irregular: Any, level: Any, trend: Any, initial: Any = WIDE) -> StateSpaceModel:
-    """A level with a slope, both of which walk at random, measured with noise (Harvey 1989, section 2.3): states `level`, `slope`.
+    """A level with a slope, both of which walk at random, measured with noise: states `level`, `slope`.
 
         level_{t+1} = level_t + slope_t + N(0, level),   slope_{t+1} = slope_t + N(0, trend)
 
     With `level=0` the trend is smooth; with `trend=0` the slope stays.
+
+    Source: Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, section 2.3.
 
     Args:
         irregular: variance of the measurement noise, in squared units of y.

@@ -12,11 +12,13 @@ from motes.models.state_space import StateSpaceModel
 
 
 def regression(irregular: Any, regressors: Any, initial: Any = WIDE) -> StateSpaceModel:
-    """A linear regression on the inputs, whose coefficients are the states (Harvey 1989, section 7.2).
+    """A linear regression on the inputs, whose coefficients are the states.
 
         y_t = u_t' coefficients_t + N(0, irregular),   coefficients_{t+1} = coefficients_t + N(0, variances)
 
     The inputs are the regressors, an array `(t, k)`; one that is 1 everywhere gives an intercept.
+
+    Source: Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, section 7.2.
 
     Args:
         irregular: variance of the measurement noise, in squared units of y.

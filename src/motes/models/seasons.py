@@ -11,11 +11,13 @@ from motes.models.state_space import StateSpaceModel
 
 
 def seasonal(irregular: Any, period: int, variance: Any = 0.0, harmonics: int | None = None, initial: Any = WIDE) -> StateSpaceModel:
-    """A seasonal pattern, measured with noise (Harvey 1989, section 2.3.4).
+    """A seasonal pattern, measured with noise.
 
     Without `harmonics` the effects of a whole period add up to noise of the given variance: the states are `seasonal` and those of the
     steps before, `seasonal_1` and so on. With `harmonics` it is a sum of waves, each of which turns and has noise in both states: the
     states are `seasonal_cos1`, `seasonal_sin1` and so on; the wave of period two has no sine.
+
+    Source: Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, section 2.3.4.
 
     Args:
         irregular: variance of the measurement noise, in squared units of y.
@@ -31,9 +33,11 @@ def seasonal(irregular: Any, period: int, variance: Any = 0.0, harmonics: int | 
 
 
 def cycle(irregular: Any, period: Any, variance: Any = 0.0, damping: Any = 1.0, initial: Any = WIDE) -> StateSpaceModel:
-    """A wave of any period that may be damped, measured with noise (Harvey 1989, section 2.3.3): states `cycle`, `cycle_sin`.
+    """A wave of any period that may be damped, measured with noise: states `cycle`, `cycle_sin`.
 
         (cycle, cycle_sin)_{t+1} = damping * rotation by 2 pi / period of (cycle, cycle_sin)_t + N(0, variance) in both
+
+    Source: Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, section 2.3.3.
 
     Args:
         irregular: variance of the measurement noise, in squared units of y.

@@ -19,9 +19,11 @@ def structural(
     regressors: Any = None,
     initial: Any = WIDE,
 ) -> StateSpaceModel:
-    """A series as the sum of a level, a season, a cycle, regressors and noise (Harvey 1989): `UnobservedComponents` of statsmodels.
+    """A series as the sum of a level, a season, a cycle, regressors and noise: `UnobservedComponents` of statsmodels.
 
     Each variance may be a number or a parameter to be estimated (`mo.fit`). A variance of 0 makes what it belongs to stay as it is.
+
+    Source: Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter.
 
     Example:
         >>> model = mo.models.structural(irregular=1.0, level=0.1, trend=0.01, seasonal=(12, 0.05))

@@ -12,11 +12,14 @@ from motes.models.state_space import StateSpaceModel
 
 
 def stochastic_volatility(mu: Any, phi: Any, sigma: Any, leverage: Any = None) -> StateSpaceModel:
-    """Returns whose log variance goes back to a level (Taylor 1982; Harvey, Ruiz, Shephard 1994): state `log_variance`.
+    """Returns whose log variance goes back to a level (stochastic volatility): state `log_variance`.
 
         y_t = exp(h_t / 2) e_t,   h_{t+1} = mu + phi (h_t - mu) + sigma n_t,   e_t and n_t standard normal of correlation `leverage`
 
     h_0 has the stationary law. The sensor says of h what scatter alone can: use particles, or a grid (`mo.PointMassFilter`).
+
+    Sources: Taylor 1982, Financial returns modelled by the product of two stochastic processes; Harvey, Ruiz, Shephard 1994,
+    Multivariate stochastic variance models.
 
     Example:
         >>> model = mo.models.stochastic_volatility(mu=-0.6, phi=0.97, sigma=0.15)

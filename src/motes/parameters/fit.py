@@ -31,6 +31,9 @@ def fit(  # noqa: PLR0913 (what one may say of a fit, each by its name)
 
     All is computed in float64, also where the session works in float32; the fitted model is in the session's precision.
 
+    Sources: Nocedal, Wright 2006, Numerical Optimization, algorithm 6.1 (the climb); Box, Wilson 1951, On the experimental attainment of
+    optimum conditions (the top of a likelihood by simulation).
+
     Example:
         >>> model_of = lambda p: mo.models.local_level(p["irregular"], p["level"])
         >>> xs, ys = mo.simulate(0, model_of({"irregular": 1.0, "level": 0.1}), 200)
@@ -48,7 +51,8 @@ def fit(  # noqa: PLR0913 (what one may say of a fit, each by its name)
         bounds: `(low, high)` by name, None for no bound.
         filter: whose likelihood is taken; None for `KalmanFilter` where the model is linear with Gaussian noises, and otherwise for
             `ParticleFilter(n=1000, scheme=mo.resampling.StopGradient())` with the same random numbers for all parameters.
-        by: "likelihood", or "em" for expectation maximization (Shumway, Stoffer 1982) with the exact smoother, of linear models.
+        by: "likelihood", or "em" for expectation maximization with the exact smoother, of linear models (Shumway, Stoffer 1982,
+            An approach to time series smoothing and forecasting using the EM algorithm).
         burn: steps at the beginning of each sequence that do not count: with a wide initial law, the number of its states.
         rounds: of the search, at most.
         key: JAX key or integer seed, for filters that draw.

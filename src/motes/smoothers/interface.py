@@ -56,6 +56,9 @@ class Smoothed:
         """Return a `pandas.DataFrame` with a row for each step, indexed as the history is (extra `results`).
 
         Columns: mean and standard deviation of each state (`px`, `px_sd`), and probabilities of modes where there are modes.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
         """
         columns = frames.mean_and_sd(self.names, self.mean, self.cov)
         if self.mode_probabilities is not None:
