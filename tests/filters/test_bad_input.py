@@ -99,6 +99,7 @@ CASES = {
     # filters
     "n": (lambda: mo.ParticleFilter(n=0), "ParticleFilter n: expected a whole number of at least 1, got 0"),
     "n not whole": (lambda: mo.MarginalizedParticleFilter(n=10.5), "MarginalizedParticleFilter n: expected a whole number of at least 1, got 10.5"),
+    "n of one without": (lambda: mo.KalmanFilter().with_particles(5), "with_particles filter: expected one with a number of particles n, got KalmanFilter"),
     "proposal": (lambda: mo.ParticleFilter(n=3, proposal=EYE), "ParticleFilter proposal: expected a proposal such as OptimalProposal(), or a conditional such as AdditiveGaussian, got ndarray"),
     "not optimal": (
         lambda: run_with(mo.ParticleFilter(n=3, proposal=mo.OptimalProposal())),
