@@ -10,6 +10,7 @@ import numpy as np
 
 from motes.core import checks
 from motes.io.archive import path_names
+from motes.io.columns import number_of
 
 LONGEST = 1 << 16
 """Bytes of a line of text."""
@@ -191,7 +192,7 @@ class Form:
     def _of_numbers(self, text: bytes) -> dict[str, Any]:
         try:
             cells = [cell.strip() for cell in text.decode("ascii").split(",")]
-            numbers: list[float | None] = [float(cell) if cell else None for cell in cells]
+            numbers: list[float | None] = [number_of(cell) if cell else None for cell in cells]
         except ValueError:
             raise Unreadable(f"neither a JSON object nor numbers between commas: {text[:60]!r}") from None
         if self.columns == (MEASURED,) and MEASURED in self.fields and self._y is not None:
