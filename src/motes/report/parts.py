@@ -3,7 +3,9 @@
 import base64
 import hashlib
 import json
-from collections.abc import Sequence
+import math
+import platform
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from string import Template
@@ -37,6 +39,18 @@ def html_table(head: Any, rows: Any, texts: int) -> str:
         "<tr>" + "".join(f'<td class="{kind}{" long" if len(cell) > 60 else ""}">{escape(cell)}</td>'
                          for kind, cell in zip(kinds, row, strict=True)) + "</tr>\n" for row in rows)
     return f"<table><thead><tr>{top}</tr></thead><tbody>\n{body}</tbody></table>"
+
+
+def origin_table(provenance: Mapping[str, str], **more: str) -> str:
+    """Return the HTML table of where a result comes from, and on which system its page was made."""
+    facts = {**more, "system": f"{platform.system()} {platform.machine()}", **provenance}
+    return html_table(("", ""), [(name.replace("_", " "), text) for name, text in facts.items()], 2)
+
+
+def rounded(value: Any, digits: int = 9) -> float | None:
+    """Return a number for JSON, which has no infinite ones."""
+    value = float(value)
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else None
 
 
 def in_json(value: Any) -> str:
