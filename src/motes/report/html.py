@@ -14,7 +14,7 @@ import numpy as np
 from motes.core import checks
 from motes.filters.history import History
 from motes.io.archive import whole_file
-from motes.report.parts import filled, html_table, in_json, origin_table, rounded
+from motes.report.parts import filled, html_table, origin_table, rounded
 from motes.report.run import film_of, run_page
 from motes.report.scene import Scene
 from motes.studies.result import StudyResult
@@ -64,14 +64,13 @@ def _page(result: StudyResult, bound: Any, seconds: dict[str, float] | None, tit
     runs, steps = result.truth.shape[:2]
     rule = "" if result.lost_beyond is None else " A run is lost when its final error of {} exceeds {:g}.".format(*result.lost_beyond)
     return filled(
-        "page.html", ("uplot/uPlot.iife.min.js", "charts.js"), ("uplot/uPlot.min.css",), title=escape(title),
+        "study", ("uplot/uPlot.iife.min.js", "charts.js"), ("uplot/uPlot.min.css",), title=title, data=_series(result, bound),
         summary=escape(f"{runs} runs of {steps} steps, the same tracks and measurements for every filter.{rule}"),
         table=html_table(told.columns, told.texts(), 2),
         reading=escape(_READING),
         blocks="\n".join(_block(result, place, name) for place, (name, _) in enumerate(result.blocks)),
         labels=html_table(("name", "filter"), list(zip(result.filters, result.labels, strict=True)), 2),
         provenance=origin_table(dict(result.provenance), seed=str(result.seed)),
-        data=in_json(_series(result, bound)),
     )  # fmt: skip
 
 

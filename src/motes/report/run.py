@@ -15,7 +15,7 @@ from motes.filters.history import History
 from motes.io.archive import provenance
 from motes.models.state_space import at_step
 from motes.report.film import LEADING, Frame, Seen, frame, row
-from motes.report.parts import filled, html_table, in_json, origin_table, rounded
+from motes.report.parts import filled, html_table, origin_table, rounded
 from motes.report.scene import Scene, encoded, scene_of
 
 MOMENTS, POINTS = 12, 1_000
@@ -65,8 +65,8 @@ def run_page(film: Film) -> str:
             "rows": [[rounded(value, 7) for value in each] for each in rows]}  # fmt: skip
     said = "".join(f"<li>{escape(str(one))}</li>" for one in film.findings)
     return filled(
-        "run.html", ("uplot/uPlot.iife.min.js", "cloud.js", "run.js"), ("uplot/uPlot.min.css", "colors.css"),
-        title=escape(film.title), facts=html_table(("", ""), film.facts, 2), data=in_json(data),
+        "run", ("uplot/uPlot.iife.min.js", "cloud.js", "run.js"), ("uplot/uPlot.min.css", "colors.css"),
+        title=film.title, data=data, images=True, facts=html_table(("", ""), film.facts, 2),
         findings=f"<ul>{said}</ul>" if said else "<p>Nothing wrong was found.</p>",
         provenance=origin_table(provenance()),
     )  # fmt: skip
