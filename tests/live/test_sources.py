@@ -221,6 +221,21 @@ def test_lines_are_whole_also_on_a_full_disk(tmp_path, monkeypatch, caplog):
     assert len(told) == 2 and "the disk took 25 of" in told[0] and "works again; 3 records are missing" in told[1]
 
 
+def test_what_fails_again_after_it_was_well_is_told_again(tmp_path, monkeypatch, caplog):
+    out = Guarded(json_lines.to_file(str(tmp_path / "out.jsonl")))
+
+    def failing(*given):
+        raise OSError(errno.EIO, "Input/output error")
+
+    for _ in range(2):
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", failing)
+            assert out.kept() is None and out.kept() is None
+        assert out.kept() == 0
+    out.close()
+    assert len(caplog.records) == 2 and out.lost == 0
+
+
 def test_parquet_grows_by_whole_row_groups(tmp_path, monkeypatch):
     pq = pytest.importorskip("pyarrow.parquet")
     monkeypatch.setattr(parquet, "ROWS", 4)
