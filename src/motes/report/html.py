@@ -123,12 +123,8 @@ def _mark(x: float, y: float, lost: bool, title: str) -> str:
 def _series(result: StudyResult, bound: Any) -> dict[str, Any]:
     blocks = []
     for name, _ in result.blocks:
-        lines = {"name": name, "filters": [_line(values) for values in result.rmse_over_time(name)]}
+        lines = {"name": name, "filters": [[rounded(value, 5) for value in line] for line in result.rmse_over_time(name)]}
         if bound is not None:
-            lines["bound"] = _line(result.bound_over_time(name, bound))
+            lines["bound"] = [rounded(value, 5) for value in result.bound_over_time(name, bound)]
         blocks.append(lines)
     return {"names": list(result.filters), "steps": list(range(result.truth.shape[1])), "blocks": blocks}
-
-
-def _line(values: np.ndarray) -> list[float | None]:
-    return [rounded(value, 5) for value in values]
