@@ -63,7 +63,8 @@ def test_an_example_gives_messages_their_form():
     (b'{"a": [1, [2]], "speed": 1}', "'a'"),
     (b'{"a": [1, 2], "b": 3, "speed": 1}', "shape (3,), expected (2,)"), (b'{"a": {"x": 1}, "speed": 1}', "'a' is no number"),
     (b'{"a": ' + 5000 * b"[" + 5000 * b"]" + b', "speed": 1}', ""), (b'{"t": NaN, "a": 1, "speed": 1}', "'t'"),
-    (b"1_0,2,3,4,5", "neither"), (b'{"k": 1.5e300, "a": true, "b": "", "speed": 1}', ""),
+    (b"1_0,2,3,4,5", "neither"), (b'{"k": 1.5, "a": 1, "speed": 1}', "'k' is no whole number: 1.5"),
+    (b'{"k": 1.5e300, "a": true, "b": "", "speed": 1}', ""),
 ])  # fmt: skip
 def test_what_is_no_message_is_told_in_words(line, why):
     form = Form(FORM)

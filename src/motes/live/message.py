@@ -131,6 +131,8 @@ class Form:
             raise Unreadable(f"none of {', '.join((*self.columns, *self.needed))[:120]} in it, but {', '.join(content)[:120] or 'nothing'}")
         time = _number(content, self.time)
         number = _number(content, self.number) if self.number else None
+        if number is not None and number % 1:
+            raise Unreadable(f"{self.number!r} is no whole number: {number!r}")
         # a checkpoint that has this needs nothing else
         whole = self.held | content
         if not measured:
