@@ -63,6 +63,7 @@ def test_an_example_gives_messages_their_form():
     (b'{"a": [1, [2]], "speed": 1}', "'a'"),
     (b'{"a": [1, 2], "b": 3, "speed": 1}', "shape (3,), expected (2,)"), (b'{"a": {"x": 1}, "speed": 1}', "'a' is no number"),
     (b'{"a": ' + 5000 * b"[" + 5000 * b"]" + b', "speed": 1}', ""), (b'{"t": NaN, "a": 1, "speed": 1}', "'t'"),
+    (b"1_0,2,3,4,5", "neither"), (b'{"k": 1.5, "a": 1, "speed": 1}', "'k' is no whole number: 1.5"),
     (b'{"k": 1.5e300, "a": true, "b": "", "speed": 1}', ""),
 ])  # fmt: skip
 def test_what_is_no_message_is_told_in_words(line, why):
@@ -221,6 +222,21 @@ def test_lines_are_whole_also_on_a_full_disk(tmp_path, monkeypatch, caplog):
     assert len(told) == 2 and "the disk took 25 of" in told[0] and "works again; 3 records are missing" in told[1]
 
 
+def test_what_fails_again_after_it_was_well_is_told_again(tmp_path, monkeypatch, caplog):
+    out = Guarded(json_lines.to_file(str(tmp_path / "out.jsonl")))
+
+    def failing(*given):
+        raise OSError(errno.EIO, "Input/output error")
+
+    for _ in range(2):
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", failing)
+            assert out.kept() is None and out.kept() is None
+        assert out.kept() == 0
+    out.close()
+    assert len(caplog.records) == 2 and out.lost == 0
+
+
 def test_parquet_grows_by_whole_row_groups(tmp_path, monkeypatch):
     pq = pytest.importorskip("pyarrow.parquet")
     monkeypatch.setattr(parquet, "ROWS", 4)
@@ -242,10 +258,11 @@ def test_parquet_grows_by_whole_row_groups(tmp_path, monkeypatch):
     out.write(row(6))
     out.close()
     assert steps() == [0, 1, 2, 3, 4, 5, 6]
-    out = sink_at(str(path))
-    out.go_on(3, cut=True)
-    out.close()
-    assert steps() == [0, 1, 2]
+    for kept in (4, 3):
+        out = sink_at(str(path))
+        out.go_on(kept, cut=True)
+        out.close()
+        assert steps() == list(range(kept))
     out = sink_at(str(path))
     out.go_on(3, cut=False)
     out.write(row(9))

@@ -102,8 +102,12 @@ def answer(content, width):
     frame = header.get("frame")
     if frame is None:
         return header, rows, None
-    count, begin = frame["count"], begin + 8 * many
+    return header, rows, points_of(frame, content, begin + 8 * many)
+
+
+def points_of(header, content, begin=0):
+    """Read x, y and weights of a moment as a page does, from where they begin."""
+    count = header["count"]
     xy = np.frombuffer(content, "<u2", 2 * count, begin).reshape(2, count)
-    low, high = np.array(frame["low"])[:, None], np.array(frame["high"])[:, None]
-    weights = np.frombuffer(content, np.uint8, count, begin + 4 * count)
-    return header, rows, (low + xy / 65535 * (high - low), weights)
+    low, high = np.array(header["low"])[:, None], np.array(header["high"])[:, None]
+    return low + xy / 65535 * (high - low), np.frombuffer(content, np.uint8, count, begin + 4 * count)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from looked_at import points_of
 
 from motes.core.checks import MotesError
 from motes.report.film import KEPT_POINTS, MOST_POINTS, Reel, Seen, error_of, frame, row
@@ -19,10 +20,7 @@ def cloud(n=500, x=2, seed=0):
 def back(one, axes=(0, 1)):
     """Points of a moment as a page reads them."""
     header, body = one.along(axes)
-    count = header["count"]
-    whole = np.frombuffer(body, "<u2", 2 * count).reshape(2, count)
-    low, high = np.array(header["low"])[:, None], np.array(header["high"])[:, None]
-    return header, low + whole / 65535 * (high - low), np.frombuffer(body, np.uint8, count, 4 * count)
+    return header, *points_of(header, body)
 
 
 def test_points_and_weights_come_back():

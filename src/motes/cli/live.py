@@ -164,16 +164,12 @@ def _told_apart(wish: Asked, job: "Job", name: str) -> str:
     """Return what tells a run from others: what it reads and by which rules, and the model where functions can be compared."""
     import jax
 
-    from motes.core.checks import MotesError
+    from motes.cli.long_runs import digest_of
     from motes.live.checkpoint import identity
     from motes.models.canonical import canonical, one_of
-    from motes.tracing.fingerprint import fingerprint
 
     asked = wish.settings.live
-    try:
-        model = fingerprint("live", canonical(job.model, *jax.tree.map(one_of, (job.inputs, job.ys))))
-    except MotesError:
-        model = ""
+    model = digest_of(lambda: canonical(job.model, *jax.tree.map(one_of, (job.inputs, job.ys))))
     rules = (asked.columns, asked.time, asked.number, asked.fields, asked.late, asked.lag, asked.wait, asked.duplicate, asked.clock_jump,
              asked.jump)  # fmt: skip
     return identity(wish.application.name, name, wish.settings.seed, asked.source, rules, model)

@@ -73,7 +73,7 @@ def long_run(seed: int, filter: Filter, job: Job, keep: Keep, path: Path) -> Ite
 
     def told() -> str:
         # what a job says of itself stands for its model; of any other job the model is compared
-        digest = job.told() or _digest(lambda: canonical(job.model, None))
+        digest = job.told() or digest_of(lambda: canonical(job.model, None))
         return _spelled(keep, seed, filter, job.ys, digest) if digest else ""
 
     return _kept_run(path, told, further)
@@ -106,13 +106,13 @@ def whole_run(seed: int, filter: Filter, job: Job, ys: Any, inputs: Any, keep: K
 
     def told() -> str:
         shapes = jax.tree.map(one_of, (inputs, ys))
-        digest = _digest(lambda: (canonical_parts(filter, job.model, *shapes), jax.tree.leaves((ys, inputs))))
+        digest = digest_of(lambda: (canonical_parts(filter, job.model, *shapes), jax.tree.leaves((ys, inputs))))
         return _spelled(keep, seed, digest) if digest else ""
 
     return _kept_run(path, told, further)
 
 
-def _digest(known: Callable[[], Any]) -> str:
+def digest_of(known: Callable[[], Any]) -> str:
     """Return a digest of functions and numbers; "" where a function cannot be compared by its traced program."""
     try:
         return fingerprint("run", known())

@@ -14,7 +14,7 @@ from motes.core.checks import FileError
 from motes.filters.interface import Filter
 from motes.filters.resized import size_of
 from motes.filters.stream import Stream
-from motes.io.archive import read_tree, write_tree
+from motes.io.archive import durable_folder, read_tree, write_tree
 from motes.io.files import label
 from motes.io.unfinished import remove_leftovers
 from motes.live.counts import LOG
@@ -55,7 +55,7 @@ class Checkpoint:
 
     def _written(self, write: Callable[[], object]) -> bool:
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+            durable_folder(self.path.parent.absolute())
             write()
         except (OSError, FileError) as reason:
             if not self._failed:

@@ -31,9 +31,9 @@ class Counts:
         of: how many there were of each kind.
     """
 
-    def __init__(self, of: dict[str, int] | None = None):
-        """Begin with what was counted before."""
-        self.of: Counter[str] = Counter(of or {})
+    def __init__(self) -> None:
+        """Count from nothing."""
+        self.of: Counter[str] = Counter()
 
     def add(self, kind: str, why: str = "", number: int = 1) -> None:
         """Count an event; the first of a kind is logged with its reason, and then the tenth, the hundredth and so on.
@@ -45,7 +45,7 @@ class Counts:
         """
         before = self.of[kind]
         self.of[kind] = before + number
-        if why and len(str(self.of[kind])) > len(str(before)) or why and before == 0:
+        if why and (before == 0 or len(str(self.of[kind])) > len(str(before))):
             LOG.warning("%s%s", why, "" if self.of[kind] == 1 else f" ({self.of[kind]} such by now)")
 
     def told(self) -> str:

@@ -12,7 +12,7 @@ class JSONLines(Sink):
     """Writes each record as a line, at once."""
 
     def __init__(self, name: str, file: int):
-        """Write to an open file, by its number."""
+        """Write to an open file, by its number, which is closed in the end."""
         self.name, self._file = name, file
         self._plain = stat.S_ISREG(os.fstat(file).st_mode)
 
@@ -42,6 +42,10 @@ class JSONLines(Sink):
             if cut and kept is not None and kept <= os.fstat(self._file).st_size:
                 os.ftruncate(self._file, kept)
             os.lseek(self._file, 0, os.SEEK_END)
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._file)
 
 
 def to_file(path: str) -> JSONLines:

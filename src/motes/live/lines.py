@@ -24,7 +24,7 @@ class Lines(TextSource):
     waits = True
 
     def __init__(self, name: str, form: Form, file: int):
-        """Read from an open file, by its number."""
+        """Read from an open file, by its number, which is closed in the end."""
         super().__init__(name, form)
         self._file, self._rest = file, b""
         self.repeats = stat.S_ISREG(os.fstat(file).st_mode)
@@ -59,6 +59,10 @@ class Lines(TextSource):
         """Begin at a byte of a plain file."""
         if self.repeats:
             self._at, self._rest = os.lseek(self._file, position, os.SEEK_SET), b""
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._file)
 
 
 def of_file(path: str, form: Form) -> Lines:
@@ -134,4 +138,4 @@ class Serial(TextSource):
     def close(self) -> None:
         """Close the line."""
         if self._lines is not None:
-            os.close(self._lines._file)
+            self._lines.close()

@@ -10,6 +10,7 @@ import numpy as np
 
 from motes.core import checks
 from motes.io.archive import path_names
+from motes.io.columns import number_of
 
 LONGEST = 1 << 16
 """Bytes of a line of text."""
@@ -130,6 +131,8 @@ class Form:
             raise Unreadable(f"none of {', '.join((*self.columns, *self.needed))[:120]} in it, but {', '.join(content)[:120] or 'nothing'}")
         time = _number(content, self.time)
         number = _number(content, self.number) if self.number else None
+        if number is not None and number % 1:
+            raise Unreadable(f"{self.number!r} is no whole number: {number!r}")
         # a checkpoint that has this needs nothing else
         whole = self.held | content
         if not measured:
@@ -191,7 +194,7 @@ class Form:
     def _of_numbers(self, text: bytes) -> dict[str, Any]:
         try:
             cells = [cell.strip() for cell in text.decode("ascii").split(",")]
-            numbers: list[float | None] = [float(cell) if cell else None for cell in cells]
+            numbers: list[float | None] = [number_of(cell) if cell else None for cell in cells]
         except ValueError:
             raise Unreadable(f"neither a JSON object nor numbers between commas: {text[:60]!r}") from None
         if self.columns == (MEASURED,) and MEASURED in self.fields and self._y is not None:

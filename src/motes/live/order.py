@@ -80,11 +80,6 @@ class Order:
         """Give what still waits, in order; where a source has ended."""
         return self._due(float("inf"))
 
-    @property
-    def waiting(self) -> list[Message]:
-        """What waits, in no order."""
-        return [message for _, _, message in self._waiting]
-
     def taken(self, placed: Placed) -> None:
         """Note that a message was taken, after all that are to come before it."""
         self.window.append(placed)
@@ -109,7 +104,7 @@ class Order:
     def kept(self) -> dict[str, Any]:
         """Return what a checkpoint keeps, as JSON can hold it."""
         return {"window": [(one.message.content, one.message.number, one.time) for one in self.window], "offset": self.offset,
-                "usual": self._usual, "waiting": [message.content for message in self.waiting], "newest": self._newest,
+                "usual": self._usual, "waiting": [message.content for _, _, message in self._waiting], "newest": self._newest,
                 "seen": list(self._seen)}  # fmt: skip
 
     def go_on(self, kept: dict[str, Any], message: Callable[[Any], Message]) -> list[Placed]:
@@ -214,9 +209,9 @@ class Order:
             self.offset = last + self._usual - message.time
         time = None if message.time is None else message.time + self.offset
         # what came before the jump cannot be told from what is late after it
+        self.settle()
         present = self.window[-1]
-        self.window.clear()
-        self.window.append(present._replace(message=present.message._replace(number=None)))
+        self.window[-1] = present._replace(message=present.message._replace(number=None))
         LOG.debug("times are shifted by %g s", self.offset)
         return Placed(message, time)
 

@@ -77,11 +77,7 @@ def fitting(filter: Filter, begin: Callable[[Filter], Stream], y: Any, u: Any, b
 
 
 class Pace:
-    """Watches over the times of steps, and has a smaller size compiled ahead.
-
-    Attributes:
-        late: steps that took longer than the budget.
-    """
+    """Watches over the times of steps, and has a smaller size compiled ahead."""
 
     def __init__(self, budget: float, compiled: Callable[[Filter], None]):
         """Watch over a budget, seconds.
@@ -90,8 +86,7 @@ class Pace:
             budget: seconds.
             compiled: compiles the steps of a filter; called by a thread.
         """
-        self.budget, self.late = budget, 0
-        self._compiled = compiled
+        self.budget, self._compiled = budget, compiled
         self._last: deque[bool] = deque(maxlen=LOOKED_AT)
         self._warned = False
         self._next: Filter | None = None
@@ -115,12 +110,10 @@ class Pace:
     def taken(self, seconds: float) -> Filter | None:
         """Note the time of a step; return a smaller filter where steps keep running late and it is ready."""
         compiling = self._thread is not None and self._thread.is_alive()
-        late = seconds > self.budget
-        self.late += late
         # what the compiler disturbs is not the filter's fault
         if compiling:
             return None
-        self._last.append(late)
+        self._last.append(seconds > self.budget)
         if len(self._last) < LOOKED_AT or sum(self._last) <= LATE * LOOKED_AT:
             return None
         share = 100 * sum(self._last) / LOOKED_AT

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from motes.core.checks import need
-from motes.io.archive import whole_file
+from motes.io.archive import durable_folder, whole_file
 from motes.io.files import foreign, reject
 from motes.io.unfinished import remove_leftovers
 from motes.live.sink import Sink
@@ -33,13 +33,13 @@ class Parquet(Sink):
         self._arrow: Any = need("pyarrow", "io")
         self._parquet: Any = need("pyarrow.parquet", "io")
         with foreign(path, "a folder that can be made"):
-            self._folder.mkdir(parents=True, exist_ok=True)
+            durable_folder(self._folder.absolute())
         other = next((one.name for one in self._folder.iterdir() if not one.name.startswith(".") and not PART.fullmatch(one.name)), None)
         if other is not None:
             reject(path, "an empty folder, or one that this wrote", f"{other} in it")
         self._full, self._written = 0, 0
         self._rows: list[dict[str, Any]] = []
-        self._go_on(None)
+        self.go_on(None, cut=False)
 
     def _part(self, number: int) -> Path:
         return self._folder / f"part-{number:08d}.parquet"
@@ -64,13 +64,10 @@ class Parquet(Sink):
 
     def go_on(self, kept: int | None, cut: bool) -> None:
         """Go on behind the rows that are there, or that were there at the checkpoint."""
-        self._go_on(kept if cut else None)
-
-    def _go_on(self, rows: int | None) -> None:
-        """Begin behind so many rows, or behind all that are there."""
+        rows = kept if cut else None
         parts = sorted(int(found[1]) for one in self._folder.iterdir() if (found := PART.fullmatch(one.name)))
         for number in parts:
-            if rows is not None and number > rows // ROWS:
+            if rows is not None and number * ROWS >= rows:
                 self._part(number).unlink()
         self._full, self._rows, self._written = (parts[-1] if parts else 0) if rows is None else rows // ROWS, [], 0
         remove_leftovers(self._part(self._full))

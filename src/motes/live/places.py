@@ -1,5 +1,6 @@
 """Sources and sinks by their addresses, as a user gives them."""
 
+import os
 import sys
 from collections.abc import Sequence
 from urllib.parse import SplitResult, parse_qs, urlsplit
@@ -25,7 +26,7 @@ def source_at(address: str, form: Form) -> Source:
         MotesError: the address is none, is in use, or cannot be read.
     """
     if address == "-":
-        return Lines("standard input", form, sys.stdin.fileno())
+        return Lines("standard input", form, os.dup(sys.stdin.fileno()))
     kind, host, port, parts = _taken_apart("source", address, SOURCES)
     if kind == "udp":
         if host is None or port is None:
@@ -50,7 +51,7 @@ def sink_at(address: str) -> Sink:
         MotesError: the address is none, is in use, or cannot be written.
     """
     if address == "-":
-        return JSONLines("standard output", sys.stdout.fileno())
+        return JSONLines("standard output", os.dup(sys.stdout.fileno()))
     kind = _taken_apart("sink", address, SINKS)[0]
     if kind in ("tcp", "ipc"):
         return Publisher(address, address)

@@ -10,6 +10,7 @@ import numpy as np
 from motes.filters.data import steps_of
 from motes.live.message import Message
 from motes.live.source import Source
+from motes.models.state_space import at_step
 
 TOGETHER = 100
 """Messages that are handed on at a time where nothing sets the pace."""
@@ -40,7 +41,7 @@ class Replay(Source):
     def message(self, content: Any) -> Message:
         """Return the message of a row."""
         row = int(content)
-        y, u = jax.tree.map(lambda leaf: leaf[row], self._rows)
+        y, u = at_step(self._rows, row)
         return Message(row, y, u, None if self._times is None else float(self._times[row]), position=row + 1)
 
     def read(self, timeout: float) -> Sequence[Message] | None:

@@ -75,10 +75,14 @@ class Guarded:
     def kept(self) -> int | None:
         """Return how far it is safe; None where it fails."""
         try:
-            return self.sink.kept()
+            kept = self.sink.kept()
         except (OSError, MotesError) as reason:
             self._failed(reason)
             return None
+        if kept is not None and not self._missing:
+            # nothing was lost: what fails next is told anew
+            self._fails = False
+        return kept
 
     def close(self) -> None:
         """Close the sink."""

@@ -1,5 +1,6 @@
 "use strict";
-// Draws a moment of a run on a canvas: what stands behind, the way, the truth, the particles, mean and ellipse.
+// Draws a moment of a run on a canvas: what stands behind, the way, the truth, the particles, mean and ellipse; and what else the page of a
+// run at work and that of one that is over have in common.
 const motesCloud = (function () {
   const LEVELS = 6, LARGEST = 65535, REACH = 3.5, ROOM = 0.08, SHRINK = 0.06, SMALL = 0.12, INSET = 0.34;
 
@@ -336,5 +337,53 @@ const motesCloud = (function () {
     }
   }
 
-  return { draw: draw, frame: frame, written: written };
+  function element(kind, text) {
+    const found = document.createElement(kind);
+    found.textContent = text;
+    return found;
+  }
+
+  function style(name) { return getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim(); }
+
+  // How many steps, in order, are not after one.
+  function count(steps, step) {
+    let low = 0, high = steps.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (steps[middle] <= step) { low = middle + 1; } else { high = middle; }
+    }
+    return low;
+  }
+
+  // The first rows along two coordinates: the means, the truth or the standard deviations.
+  function way(scene, column, axes, kind, upto) {
+    return axes.map(function (axis) {
+      const found = axis < 0 ? column(scene.timed ? "time" : "step") : column(scene.names[axis] + " " + kind);
+      return upto < found.length ? found.slice(0, upto) : found;
+    });
+  }
+
+  function ways(scene, column, axes, upto) {
+    const of = function (kind) { return way(scene, column, axes, kind, upto); };
+    return { mean: of("mean"), truth: scene.truth ? of("truth") : [[], []], sd: of("sd") };
+  }
+
+  function labels(scene) {
+    return scene.marks.concat(scene.moving ? [scene.moving] : []).map(function (mark) { return mark.label; });
+  }
+
+  // The values of a chart; on a logarithmic axis there is no place for what is not above 0.
+  function charted(values, logarithmic, factor) {
+    return values.map(function (value) { return value === null || (logarithmic && value <= 0) ? null : factor * value; });
+  }
+
+  // Both axes of a chart, left of which there is so much room.
+  function chartAxes(logarithmic, below, beside) {
+    const line = function () { return { stroke: style("grid"), width: 1 }; };
+    const axis = { stroke: style("text"), grid: line(), ticks: line() };
+    return [Object.assign({}, axis, below), Object.assign({}, axis, beside, logarithmic ? { grid: { show: false } } : {})];
+  }
+
+  return { draw: draw, frame: frame, element: element, style: style, count: count, ways: ways, labels: labels, charted: charted,
+           chartAxes: chartAxes };
 })();

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from motes.report.parts import rounded
 from motes.report.scene import Scene
 
 LARGEST = 65535
@@ -99,15 +100,9 @@ class Frame(NamedTuple):
         header["cov"] = [rounded(value) for value in cov]
         return header, b"".join([*(part.astype("<u2").tobytes() for part in parts), self.weights.tobytes()])
 
-    def _moved(self) -> list[list[float]]:
+    def _moved(self) -> list[list[float | None]]:
         places = np.zeros((0, 2)) if self.moving is None else self.moving[np.isfinite(self.moving).all(axis=1)]
-        return [[float(f"{value:.6g}") for value in place] for place in places]
-
-
-def rounded(value: Any) -> float | None:
-    """Return a number for JSON, which has no infinite ones."""
-    value = float(value)
-    return float(f"{value:.9g}") if np.isfinite(value) else None
+        return [[rounded(value, 6) for value in place] for place in places]
 
 
 def frame(which: tuple[int, int, float], seen: Seen, scene: Scene, u: Any = None, picture: bytes = b"") -> Frame:

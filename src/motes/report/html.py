@@ -5,7 +5,6 @@ script but its own two, which it knows by digest.
 """
 
 import math
-import platform
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,7 @@ import numpy as np
 from motes.core import checks
 from motes.filters.history import History
 from motes.io.archive import whole_file
-from motes.io.result_table import shown
-from motes.report.parts import filled, html_table, in_json
+from motes.report.parts import filled, html_table, origin_table, rounded
 from motes.report.run import film_of, run_page
 from motes.report.scene import Scene
 from motes.studies.result import StudyResult
@@ -49,26 +47,13 @@ def report(
     for name, value in beside.items():
         if value is not None:
             checks.refuse(f"report {name}", f"none beside a {type(result).__name__}", type(value).__name__)
-    path = checked_page(path)
-    if isinstance(result, History):
-        return write_page(path, run_page(film_of(result, scene, truth, None, title or "Run")))
-    return write_page(path, _page(result, bound, seconds, title or "Study"))
-
-
-def checked_page(path: str | Path) -> Path:
-    """Return the path of a page.
-
-    Raises:
-        FileError: it ends in something else.
-    """
     path = Path(path)
     if path.suffix not in (".html", ".htm"):
         checks.refuse(str(path), "a name that ends in .html", path.suffix or "no ending", error=checks.FileError)
-    return path
-
-
-def write_page(path: Path, page: str) -> Path:
-    """Write a page, whole or not at all, and return its path."""
+    if isinstance(result, History):
+        page = run_page(film_of(result, scene, truth, title or "Run"))
+    else:
+        page = _page(result, bound, seconds, title or "Study")
     with whole_file(path) as file:
         file.write(page.encode())
     return path
@@ -78,16 +63,14 @@ def _page(result: StudyResult, bound: Any, seconds: dict[str, float] | None, tit
     told = result.table(bound, seconds)
     runs, steps = result.truth.shape[:2]
     rule = "" if result.lost_beyond is None else " A run is lost when its final error of {} exceeds {:g}.".format(*result.lost_beyond)
-    machine = {"seed": str(result.seed), "system": f"{platform.system()} {platform.machine()}"}
     return filled(
-        "page.html", ("uplot/uPlot.iife.min.js", "charts.js"), ("uplot/uPlot.min.css",), title=escape(title),
+        "study", ("uplot/uPlot.iife.min.js", "charts.js"), ("uplot/uPlot.min.css",), title=title, data=_series(result, bound),
         summary=escape(f"{runs} runs of {steps} steps, the same tracks and measurements for every filter.{rule}"),
-        table=html_table(told.columns, [[shown(cell) for cell in row] for row in told.rows], 2),
+        table=html_table(told.columns, told.texts(), 2),
         reading=escape(_READING),
         blocks="\n".join(_block(result, place, name) for place, (name, _) in enumerate(result.blocks)),
         labels=html_table(("name", "filter"), list(zip(result.filters, result.labels, strict=True)), 2),
-        provenance=html_table(("", ""), [(name.replace("_", " "), text) for name, text in (machine | dict(result.provenance)).items()], 2),
-        data=in_json(_series(result, bound)),
+        provenance=origin_table(dict(result.provenance), seed=str(result.seed)),
     )  # fmt: skip
 
 
@@ -140,12 +123,8 @@ def _mark(x: float, y: float, lost: bool, title: str) -> str:
 def _series(result: StudyResult, bound: Any) -> dict[str, Any]:
     blocks = []
     for name, _ in result.blocks:
-        lines = {"name": name, "filters": [_for_json(line) for line in result.rmse_over_time(name)]}
+        lines = {"name": name, "filters": [[rounded(value, 5) for value in line] for line in result.rmse_over_time(name)]}
         if bound is not None:
-            lines["bound"] = _for_json(result.bound_over_time(name, bound))
+            lines["bound"] = [rounded(value, 5) for value in result.bound_over_time(name, bound)]
         blocks.append(lines)
     return {"names": list(result.filters), "steps": list(range(result.truth.shape[1])), "blocks": blocks}
-
-
-def _for_json(values: np.ndarray) -> list[float | None]:
-    return [float(f"{value:.5g}") if math.isfinite(value) else None for value in values]

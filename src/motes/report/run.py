@@ -1,13 +1,11 @@
 """A run as one web page: facts, what is wrong in words, pictures of the law, and numbers over time; it asks no network for anything."""
 
 import base64
-import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-import jax
 import numpy as np
 
 from motes.core import checks
@@ -15,8 +13,9 @@ from motes.core.findings import Finding
 from motes.diagnostics.diagnose import diagnose
 from motes.filters.history import History
 from motes.io.archive import provenance
+from motes.models.state_space import at_step
 from motes.report.film import LEADING, Frame, Seen, frame, row
-from motes.report.parts import filled, html_table, in_json
+from motes.report.parts import filled, html_table, origin_table, rounded
 from motes.report.scene import Scene, encoded, scene_of
 
 MOMENTS, POINTS = 12, 1_000
@@ -63,14 +62,13 @@ def run_page(film: Film) -> str:
     rows = film.rows[:: max(1, -(-len(film.rows) // ROWS))]
     columns = columns_of(scene)
     data = {"scene": scene.described(), "columns": columns, "frames": frames, "picture": ground,
-            "rows": [[float(f"{value:.7g}") if np.isfinite(value) else None for value in each] for each in rows]}  # fmt: skip
+            "rows": [[rounded(value, 7) for value in each] for each in rows]}  # fmt: skip
     said = "".join(f"<li>{escape(str(one))}</li>" for one in film.findings)
-    here = {"system": f"{platform.system()} {platform.machine()}"} | provenance()
     return filled(
-        "run.html", ("uplot/uPlot.iife.min.js", "cloud.js", "run.js"), ("uplot/uPlot.min.css", "colors.css"),
-        title=escape(film.title), facts=html_table(("", ""), film.facts, 2), data=in_json(data),
+        "run", ("uplot/uPlot.iife.min.js", "cloud.js", "run.js"), ("uplot/uPlot.min.css", "colors.css"),
+        title=film.title, data=data, images=True, facts=html_table(("", ""), film.facts, 2),
         findings=f"<ul>{said}</ul>" if said else "<p>Nothing wrong was found.</p>",
-        provenance=html_table(("", ""), [(name.replace("_", " "), str(value)) for name, value in here.items()], 2),
+        provenance=origin_table(provenance()),
     )  # fmt: skip
 
 
@@ -78,14 +76,13 @@ def _base64(content: bytes) -> str:
     return base64.b64encode(content).decode()
 
 
-def film_of(history: History, scene: Scene | None, truth: Any, inputs: Any, title: str) -> Film:
+def film_of(history: History, scene: Scene | None, truth: Any, title: str) -> Film:
     """Return what is shown of a history.
 
     Args:
         history: with moments; particles are drawn where the run kept some (`keep=mo.keep.laws`).
         scene: where the law is drawn; its first two states if None.
         truth: true states `(t, x)`, where no scene is given; or None.
-        inputs: of the run, time axis first, which a scene may ask for.
         title: heading.
 
     Raises:
@@ -102,7 +99,7 @@ def film_of(history: History, scene: Scene | None, truth: Any, inputs: Any, titl
     frames, rows = [], []
     for step in wanted:
         points = _points_kept(history, step) if step in shown else None
-        one = frame((step, first + step, float(times[step])), Seen(mean[step], cov[step], *(points or ())), scene, at(inputs, step))
+        one = frame((step, first + step, float(times[step])), Seen(mean[step], cov[step], *(points or ())), scene)
         numbers = (np.nan, float(info.ess[step]), float(info.log_evidence[step]), bool(info.alarm[step]))
         rows.append(row(one, scene, numbers))
         if step in shown:
@@ -117,11 +114,6 @@ def film_of(history: History, scene: Scene | None, truth: Any, inputs: Any, titl
     return Film(title=title, facts=facts, scene=scene, frames=frames, rows=np.array(rows), findings=diagnosis.findings)
 
 
-def at(tree: Any, step: int) -> Any:
-    """Return the inputs of one step as NumPy's arrays, or None where there are none."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf[step]), tree)
-
-
 def _points_kept(history: History, step: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Return particles and log weights of a step, where they were kept."""
     if "cloud" in history.kept:
@@ -129,5 +121,5 @@ def _points_kept(history: History, step: int) -> tuple[np.ndarray, np.ndarray] |
         return cloud, np.zeros(cloud.shape[1])
     if "law" not in history.kept:
         return None
-    found = jax.tree.map(lambda leaf: leaf[step], history.law).weighted_points()
+    found = at_step(history.law, step).weighted_points()
     return None if found is None else (np.asarray(found[0]), np.asarray(found[1]))

@@ -3,7 +3,8 @@
 import json
 from typing import Any, NamedTuple
 
-from motes.report.film import Frame, rounded
+from motes.report.film import Frame
+from motes.report.parts import rounded
 from motes.report.scene import encoded
 from motes.watch.recorder import Recorder
 

@@ -1,5 +1,6 @@
 "use strict";
 (function () {
+  const element = motesCloud.element, style = motesCloud.style;
   const byId = function (id) { return document.getElementById(id); };
   const BEAT = 1000, AGAIN = 2000, CHARTS = 250, MOMENT = 40;
   const page = { axes: [0, 1], have: -1, at: null, by: 0, generation: -1, rows: 0, state: "" };
@@ -88,27 +89,10 @@
     }, pause);
   }
 
-  function way(kind) {
-    const upto = shown && !answer.live ? count(shown.step) : columns[0].length;
-    return page.axes.map(function (axis) {
-      const found = axis < 0 ? column(scene.timed ? "time" : "step") : column(scene.names[axis] + " " + kind);
-      return upto < found.length ? found.slice(0, upto) : found;
-    });
-  }
-
-  function count(step) {
-    const steps = columns[0];
-    let low = 0, high = steps.length;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (steps[middle] <= step) { low = middle + 1; } else { high = middle; }
-    }
-    return low;
-  }
-
   function draw() {
     if (!shown) { return; }
-    const ways = { mean: way("mean"), truth: scene.truth ? way("truth") : [[], []], sd: way("sd") };
+    const upto = answer.live ? columns[0].length : motesCloud.count(columns[0], shown.step);
+    const ways = motesCloud.ways(scene, column, page.axes, upto);
     motesCloud.draw(byId("cloud"), shown, scene, view, ways, moving || ground);
     const now = performance.now();
     if (now - drawn > CHARTS) { drawn = now; plots(); }
@@ -118,7 +102,7 @@
   function short(value, digits) { return value === null || value === undefined ? "-" : Number(value.toPrecision(digits || 4)).toString(); }
 
   function told() {
-    const place = shown ? Math.max(0, count(shown.step) - 1) : 0;
+    const place = shown ? Math.max(0, motesCloud.count(columns[0], shown.step) - 1) : 0;
     const at = function (name) { const found = column(name); return found.length ? found[place] : null; };
     const rows = [["step", shown ? String(shown.step) : "-"]];
     if (scene.timed) { rows.push(["time", short(shown.time, 7) + " s"]); }
@@ -161,15 +145,7 @@
     return place < 0 ? "" : scene.units[place];
   }
 
-  function element(kind, text) {
-    const found = document.createElement(kind);
-    found.textContent = text;
-    return found;
-  }
-
   function fill(place, children) { place.replaceChildren.apply(place, children); }
-
-  function style(name) { return getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim(); }
 
   function chart(title, names, logarithmic, factor, level) {
     const holder = element("div", "");
@@ -180,11 +156,11 @@
       return { label: name, stroke: [style("cloud"), style("mean")][index], width: 1.4, points: { show: false }, spanGaps: true };
     }));
     if (level) { series.push({ label: "budget", stroke: style("mean"), width: 1.2, dash: [6, 4], points: { show: false } }); }
-    const axis = { stroke: style("text"), grid: { stroke: style("grid"), width: 1 }, ticks: { stroke: style("grid"), width: 1 }, font: "11px system-ui" };
+    const font = "11px system-ui";
     const plot = new uPlot({
       width: Math.max(240, holder.clientWidth), height: 120, cursor: { show: false }, legend: { show: false },
       scales: { x: { time: false }, y: { distr: logarithmic ? 3 : 1 } },
-      axes: [Object.assign({ size: 26 }, axis), Object.assign({ size: 58 }, axis, logarithmic ? { grid: { show: false } } : {})],
+      axes: motesCloud.chartAxes(logarithmic, { size: 26, font: font }, { size: 58, font: font }),
       series: series
     }, [[]].concat(series.slice(1).map(function () { return []; })), holder);
     charts.push({ plot: plot, names: names, logarithmic: logarithmic, factor: factor || 1, level: level, holder: holder });
@@ -194,9 +170,7 @@
     const xs = scene.timed ? column("time") : column("step");
     charts.forEach(function (one) {
       const lines = one.names.map(function (name) {
-        return column(name).map(function (value) {
-          return value === null || (one.logarithmic && value <= 0) ? null : one.factor * value;
-        });
+        return motesCloud.charted(column(name), one.logarithmic, one.factor);
       });
       if (one.level) { lines.push(xs.map(function () { return one.level; })); }
       one.plot.setData([xs].concat(lines));
@@ -263,7 +237,7 @@
   function legend() {
     const found = [["cloud", "particle"], ["mean", "mean, way and two-sigma ellipse"]];
     if (scene.truth) { found.push(["truth", "truth"]); }
-    const labels = scene.marks.concat(scene.moving ? [scene.moving] : []).map(function (mark) { return mark.label; });
+    const labels = motesCloud.labels(scene);
     if (labels.length) { found.push(["mark", labels.join(", ")]); }
     fill(byId("legend"), found.map(function (one) {
       const item = element("li", "");
@@ -292,7 +266,6 @@
       page.axes[place] = scene.names.length > 1 ? place : place - 1;
       byId(id).value = page.axes[place];
     });
-    if (scene.names.length === 1) { page.axes = [-1, 0]; byId("x").value = -1; byId("y").value = 0; }
     legend();
     setCharts();
     if (scene.picture) {
