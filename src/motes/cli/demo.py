@@ -40,7 +40,7 @@ def main(words: Sequence[str]) -> None:
     from motes.core.hosts import is_first
 
     wish = asked(Run, [name, *rest], f"motes demo {name}")
-    if wish.settings.live.on or wish.settings.live.source:
+    if wish.settings.live.is_asked_for:
         refuse("live", f"motes run {name} --live", f"motes demo {name}")
     if processes.started("demo", [name, *rest], wish.settings):
         return
