@@ -182,7 +182,7 @@ class Cells:
 
     def clock(self, name: str) -> Clock:
         """Return how the times of a column of numbers are written: in its unit."""
-        unit = UNITS.get(known(self.dialect.units.get(name, "s")) or "s", UNITS["s"])
+        unit = UNITS[known(self.dialect.units.get(name, "s")) or "s"]
         return Clock(unit=unit.factor if unit.kind == "time" else 1.0)
 
     def _kind(self, name: str, cell: str) -> tuple[Callable[[str], float], str]:
@@ -234,14 +234,21 @@ def check_names_of_units(path: Any, names: Sequence[str], dialect: Dialect) -> N
             refuse("units", f"names of columns of {label(path)}: {', '.join(names)[:200]}", repr(name[:60]), hint)
 
 
-def made_of(source: Cells, cells: Mapping[str, Sequence[str]], texts: Sequence[str]) -> Columns:
-    """Return columns of texts as columns of numbers and times; see `Cells.column`."""
+def made_of(source: Cells, cells: Mapping[str, Any], texts: Sequence[str], read: Callable[..., Any] = Cells.column) -> Columns:
+    """Return columns of a file as columns of numbers and times, and of text.
+
+    Args:
+        source: where they come from.
+        cells: of each column, as the file has them.
+        texts: names of columns of text.
+        read: gives the numbers of a column, of source, name and cells, and how they were written if they are times; see `Cells.column`.
+    """
     found, clocks = {}, {}
     for name, column in cells.items():
         if name in texts:
             found[name] = labels(column)
         else:
-            found[name], clock = source.column(name, column)
+            found[name], clock = read(source, name, column)
             clocks[name] = clock or source.clock(name)
     return Columns(found, label(source.path), source.word, source.lines, clocks=clocks)
 

@@ -1,6 +1,7 @@
 """Units by their plain names: a number in one becomes a number in another of the same kind."""
 
 import difflib
+import json
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
@@ -123,4 +124,9 @@ def as_toml(units: Mapping[str, str]) -> str:
 
 def quoted(name: str) -> str:
     """Return a name as the key of a TOML table."""
-    return name if name.isascii() and name.replace("_", "").replace("-", "").isalnum() else '"' + name.replace('"', '\\"') + '"'
+    return name if name.isascii() and name.replace("_", "").replace("-", "").isalnum() else text(name)
+
+
+def text(value: str) -> str:
+    """Return a text as TOML has it."""
+    return json.dumps(value, ensure_ascii=False)
