@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from motes.cli.asked import Plan, Run, Study, Watch, application, applications
 from motes.cli.calibrate import Calibrate
 from motes.cli.demo import demonstrations
-from motes.cli.options import first_and_flags, from_flags, perhaps, refuse, shown
+from motes.cli.options import first_and_flags, from_flags, refuse, shown
 from motes.cli.report import Report
+from motes.core.spelling import perhaps
 
 USAGE = "motes completion SHELL"
 SHELLS = ("bash", "zsh", "fish")

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 from motes.cli import processes
 from motes.cli.asked import Asked, Run, applications, asked
-from motes.cli.options import perhaps, refuse
+from motes.cli.options import refuse
 from motes.cli.records import choice_of, is_spelled
 from motes.cli.run import carried_out, trusted
+from motes.core.spelling import perhaps
 
 if TYPE_CHECKING:
     from motes.applications.interface import Job

@@ -1,6 +1,5 @@
 """Columns of numbers and times, from the text of their cells, which know where their rows stand in the file they came from."""
 
-import difflib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from motes.core.checks import FileError, refuse
+from motes.core.spelling import perhaps
 from motes.io.clocks import Clock, Reader, proposed
 from motes.io.dialect import PLAIN, Dialect
 from motes.io.files import label, reject
@@ -229,9 +229,8 @@ def check_names_of_units(path: Any, names: Sequence[str], dialect: Dialect) -> N
     """
     for name in dialect.units:
         if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            hint = f"Perhaps {near[0]!r} is meant." if near else ""
-            refuse("units", f"names of columns of {label(path)}: {', '.join(names)[:200]}", repr(name[:60]), hint)
+            expected = f"names of columns of {label(path)}: {', '.join(names)[:200]}"
+            refuse("units", expected, repr(name[:60]), perhaps(name, names, 1))
 
 
 def made_of(source: Cells, cells: Mapping[str, Any], texts: Sequence[str], read: Callable[..., Any] = Cells.column) -> Columns:

@@ -95,7 +95,8 @@ class TerrainJob(Job):
         spreads = deviations(history.cov)[:, np.array(places_of(history.names))]
         expected = units_of(flight.terrain, recording)
         inertial = [(role, name) for role, name in roles(recording).items() if name in recording.inertial]
-        own = {name: back_to(place, own_unit(recording, role), expected[name]) for place, (role, name) in zip(places, inertial, strict=True)}
+        own = {name: back_to(place, own_unit(recording, role), expected[name])
+               for place, (role, name) in zip(places, inertial, strict=True)}  # fmt: skip
         return self.way(history, own, dict(zip(("north, m", "east, m", "altitude, m"), spreads.T, strict=True)))
 
     def scene(self) -> Scene:
