@@ -160,6 +160,15 @@ def test_scans_are_read_as_they_stand(tmp_path):
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-4)
 
 
+def test_seconds_are_believed_where_the_user_says_so(tmp_path):
+    file = write(tmp_path / "a.csv", [f"{2000 * step},1000,0,1" for step in range(5)], "Zeit,range,azimuth,range_rate")
+    with pytest.raises(mo.MotesError) as error:
+        reading.read_scans(TableFile(file=file, columns={"time": "Zeit"}), 2.0)
+    refused(error, "a.csv", "Milliseconds?")
+    for name in ("time", "Zeit"):
+        assert reading.read_scans(TableFile(file=file, columns={"time": "Zeit"}, units={name: "s"}), 2.0)[0][-1] == 8000
+
+
 @pytest.mark.parametrize(("rows", "words"), [
     (["0,1000,90,5", "1,1000,,5"], ("column 'range'", "range, azimuth and range_rate, or none of them in line 3")),
     (["1,1000,90,5", "0,1000,90,5"], ("column 'time'", "line 3")),

@@ -365,7 +365,8 @@ def test_no_word_of_the_command_comes_twice(tmp_path, monkeypatch, capsys):
 
 
 def test_shells_are_told_what_to_complete(capsys):
-    for shell, words in {"bash": ("_motes()", "--noises.altimeter"), "zsh": ("bashcompinit",), "fish": ("complete -c motes",)}.items():
+    of_bash = ("_motes()", "--noises.altimeter", 'watch) words="--rate')
+    for shell, words in {"bash": of_bash, "zsh": ("bashcompinit",), "fish": ("complete -c motes",)}.items():
         assert main(["completion", shell]) == 0
         said = capsys.readouterr().out
         for word in ("terrain", "notch", "calibrate", *words):

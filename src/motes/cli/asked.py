@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from motes.cli.dictionaries import with_dictionaries, without_dictionaries
-from motes.cli.options import first_and_flags, from_flags, from_table, perhaps, read_toml, refuse, shown
+from motes.cli.options import first_and_flags, from_flags, from_table, read_toml, refuse, shown
 from motes.cli.records import build, file_name, flags_of, merged, with_size
+from motes.core.spelling import perhaps
 from motes.live.settings import Live
 
 if TYPE_CHECKING:

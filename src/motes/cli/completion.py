@@ -4,18 +4,19 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from motes.cli.asked import Plan, Run, Study, application, applications
+from motes.cli.asked import Plan, Run, Study, Watch, application, applications
 from motes.cli.calibrate import Calibrate
 from motes.cli.demo import demonstrations
-from motes.cli.options import first_and_flags, from_flags, perhaps, refuse, shown
+from motes.cli.options import first_and_flags, from_flags, refuse, shown
 from motes.cli.report import Report
+from motes.core.spelling import perhaps
 
 USAGE = "motes completion SHELL"
 SHELLS = ("bash", "zsh", "fish")
 CHOOSING = ("--filter", "--filter.n", "--smoother")
 """Flags that choose records."""
 OPTIONS: dict[str, tuple[type, tuple[str, ...]]] = {
-    "demo": (Run, CHOOSING), "run": (Run, CHOOSING), "plan": (Plan, ()), "study": (Study, ("--filters",)),
+    "demo": (Run, CHOOSING), "run": (Run, CHOOSING), "plan": (Plan, ()), "watch": (Watch, CHOOSING[:2]), "study": (Study, ("--filters",)),
     "calibrate": (Calibrate, ()), "report": (Report, ()),
 }  # fmt: skip
 
@@ -34,9 +35,7 @@ _motes() {{
     esac
     if [ "$COMP_CWORD" -eq 2 ] && [[ "$cur" != -* ]]; then
         case "$command" in
-            demo) words="{demonstrations}" ;;
-            run|plan|study) words="{applications}" ;;
-            completion) words="{known}" ;;
+{first_cases}
         esac
     elif [[ "$cur" != -* ]]; then
         words=""
@@ -72,11 +71,12 @@ def main(words: Sequence[str]) -> None:
 def _bash(shell: str) -> str:
     from motes.cli.main import COMMANDS
 
-    there = [*applications(), *demonstrations()]
+    first = _first()
     script = BASH.format(
-        own=shell, commands=" ".join(COMMANDS), demonstrations=" ".join(there), applications=" ".join(applications()),
-        known=" ".join(SHELLS), commands_cases="\n".join(f'        {name}) words="{" ".join(_flags(name))}" ;;' for name in OPTIONS),
-        applications_cases="\n".join(f'        *" {name}") words="$words {" ".join(_own(name))}" ;;' for name in there),
+        own=shell, commands=" ".join(COMMANDS),
+        first_cases="\n".join(f'            {name}) words="{" ".join(known)}" ;;' for name, known in first.items()),
+        commands_cases="\n".join(f'        {name}) words="{" ".join(_flags(name))}" ;;' for name in OPTIONS),
+        applications_cases="\n".join(f'        *" {name}") words="$words {" ".join(_own(name))}" ;;' for name in first["demo"]),
     )  # fmt: skip
     return f"autoload -U +X bashcompinit && bashcompinit\n{script}" if shell == "zsh" else script
 
@@ -86,14 +86,19 @@ def _fish() -> str:
 
     lines = ["# completion of motes: motes completion fish > ~/.config/fish/completions/motes.fish"]
     lines += [f"complete -c motes -f -n __fish_use_subcommand -a {name} -d '{does}'" for name, does in COMMANDS.items()]
+    lines += [f"complete -c motes -n '__fish_seen_subcommand_from {name}' -a '{' '.join(known)}'" for name, known in _first().items()]
     for name in OPTIONS:
         seen = f"'__fish_seen_subcommand_from {name}'"
-        words = {"demo": [*applications(), *demonstrations()], "run": applications(), "plan": applications(), "study": applications()}
-        lines += [f"complete -c motes -n {seen} -a '{' '.join(words[name])}'"] if name in words else []
         lines += [f"complete -c motes -n {seen} -l {flag[2:]}" for flag in _flags(name)]
     for name in applications():
         lines += [f"complete -c motes -n '__fish_seen_subcommand_from {name}' -l {flag[2:]}" for flag in _own(name)]
     return "\n".join(lines) + "\n"
+
+
+def _first() -> dict[str, list[str]]:
+    """Return the words of which one comes first after a command."""
+    names = list(applications())
+    return {"demo": [*names, *demonstrations()], **dict.fromkeys(("run", "plan", "watch", "study"), names), "completion": list(SHELLS)}
 
 
 def _flags(command: str) -> list[str]:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 from motes.cli import processes
 from motes.cli.asked import Asked, Run, applications, asked
-from motes.cli.options import perhaps, refuse
+from motes.cli.options import refuse
 from motes.cli.records import choice_of, is_spelled
 from motes.cli.run import carried_out, trusted
+from motes.core.spelling import perhaps
 
 if TYPE_CHECKING:
     from motes.applications.interface import Job
@@ -40,7 +41,7 @@ def main(words: Sequence[str]) -> None:
     from motes.core.hosts import is_first
 
     wish = asked(Run, [name, *rest], f"motes demo {name}")
-    if wish.settings.live.on or wish.settings.live.source:
+    if wish.settings.live.is_asked_for:
         refuse("live", f"motes run {name} --live", f"motes demo {name}")
     if processes.started("demo", [name, *rest], wish.settings):
         return

@@ -27,7 +27,6 @@ def run_live(wish: Asked) -> None:
 
     Raises:
         MotesError: the application cannot be run so, a filter does not fit, or a source or a sink cannot be opened.
-        SystemExit: never; asked to end by a signal, the process is ended.
     """
     check_seed(wish.settings.seed)
     with logged() as log:

@@ -56,7 +56,7 @@ def _dispatch(words: list[str]) -> int:
         print(f"motes {version('motes')}")
         return 0
     if words[0] not in COMMANDS:
-        from motes.cli.options import perhaps
+        from motes.core.spelling import perhaps
 
         hint = perhaps(words[0], COMMANDS) or "See motes --help."
         print(f"motes: expected one of the commands {', '.join(COMMANDS)}, got {words[0][:80]!r}. {hint}", file=sys.stderr)

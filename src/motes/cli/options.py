@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import difflib
 import io
 import os
 import re
@@ -10,9 +9,11 @@ import reprlib
 import tomllib
 import types
 import typing
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
+
+from motes.core.spelling import perhaps
 
 Settings = TypeVar("Settings")
 LARGEST = 1 << 20
@@ -30,12 +31,6 @@ def refuse(argument: str, expected: str, given: object, hint: str = "") -> NoRet
     from motes.core import checks
 
     checks.refuse(argument, expected, given, hint)
-
-
-def perhaps(word: object, known: Iterable[str]) -> str:
-    """Return which of some words may have been meant, as a hint; "" where none is near."""
-    near = difflib.get_close_matches(str(word)[:80], list(known), 2, 0.6)
-    return f"Perhaps {' or '.join(map(repr, near))} is meant." if near else ""
 
 
 def from_flags(default: Settings, words: Sequence[str], command: str) -> Settings:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motes.cli.options import perhaps, refuse, shown
+from motes.cli.options import refuse, shown
+from motes.core.spelling import perhaps
 from motes.io.dialect import Dialect
 
 if TYPE_CHECKING:

@@ -16,7 +16,8 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from motes.cli.options import KINDS, perhaps, refuse, shown
+from motes.cli.options import KINDS, refuse, shown
+from motes.core.spelling import perhaps
 
 KIND = "kind"
 ROOMS = ("motes", "motes.filters", "motes.resampling", "motes.smoothers", "motes.gaussian")

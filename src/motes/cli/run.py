@@ -2,8 +2,7 @@
 
 Writes to the folder `--out`: for each filter its history as NetCDF and as NPZ, and, where a smoother is named, a table of what that found;
 `track.csv`, the way that the first filter found, step by step (`NAME_track.csv` of the others); `summary.json`; the tables and pictures of
-the application. The last lines say whether the runs can be trusted. With `--live`
-measurements are taken as they come: see `live.py`.
+the application. The last lines say whether the runs can be trusted. With `--live` measurements are taken as they come: see `live.py`.
 """
 
 from collections.abc import Sequence
@@ -31,7 +30,7 @@ def main(words: Sequence[str]) -> None:
         MotesError: an option, a file or the user's function cannot be used.
     """
     wish = asked(Run, words, USAGE)
-    if wish.settings.live.on or wish.settings.live.source:
+    if wish.settings.live.is_asked_for:
         from motes.cli import live
 
         live.run_live(wish)

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import TaskID
 from rich.table import Table as Shown
 
-from motes.applications.interface import Job
+from motes.applications.interface import Job, deviations
 from motes.cli.long_runs import long_run, whole_run
 from motes.core.checks import FileError, need, refuse
 from motes.core.progress import bars
@@ -149,7 +149,7 @@ def check_smoother(seed: int, smoother: Smoother, filters: Mapping[str, Filter],
 def write_smoothed(path: Path, seed: int, smoother: Smoother, job: Job, history: History) -> None:
     """Smooth what was filtered, and write means and standard deviations as a table."""
     found = smooth(seed + 1, smoother, job.model, history, job.ys, job.inputs)
-    spread = np.sqrt(np.diagonal(np.asarray(found.cov), axis1=1, axis2=2))
+    spread = deviations(found.cov)
     columns = ("step", *found.names, *(f"sd {name}" for name in found.names))
     both = np.concatenate([np.asarray(found.mean), spread], axis=1)
     Table(columns, tuple((step, *map(float, row)) for step, row in enumerate(both))).save(path)

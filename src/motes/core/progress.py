@@ -1,6 +1,6 @@
 """Progress of long work on the error stream, where somebody looks: how much is done, for how long, and how long it will take."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from motes.core import notebook
@@ -37,7 +37,7 @@ def bars(unit: str, progress: bool | None = None, passing: bool = False) -> "Pro
     return kind(*columns, console=console, disable=not is_shown(console, progress), transient=passing, speed_estimate_period=WINDOW)
 
 
-def tracked(items: Sequence[T], label: str, progress: bool | None) -> Iterable[T]:
+def tracked(items: Sequence[T], label: str, progress: bool | None) -> Iterator[T]:
     """Go through items, with a bar.
 
     Args:
@@ -45,8 +45,5 @@ def tracked(items: Sequence[T], label: str, progress: bool | None) -> Iterable[T
         label: beside the bar.
         progress: whether to draw it; where the error stream is a terminal, if None.
     """
-    def gone_through() -> Iterator[T]:
-        with bars("", progress) as drawn:
-            yield from drawn.track(items, total=len(items), description=label)
-
-    return gone_through()
+    with bars("", progress) as drawn:
+        yield from drawn.track(items, total=len(items), description=label)

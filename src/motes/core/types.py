@@ -14,6 +14,7 @@ KeyLike = jax.Array | int
 Inputs = Any
 """What the user gives per step: any tree of arrays with the time axis first, or None."""
 
+
 class Numbers(Protocol):
     """A table or series of another library, which NumPy can make an array of."""
 

@@ -10,6 +10,7 @@ from zoneinfo import ZoneInfo, available_timezones
 import numpy as np
 
 from motes.core.checks import refuse
+from motes.core.spelling import meant
 from motes.io.dialect import PLAIN, Dialect
 from motes.io.instants import EPOCH
 
@@ -78,8 +79,7 @@ def zone_of(name: str) -> tzinfo:
     except (KeyError, ValueError, OSError):
         there = sorted(available_timezones())
         near = difflib.get_close_matches(name, there, 3, 0.6) or [one for one in there if name.lower() in one.lower()][:3]
-        refuse("time_zone", 'a time zone by its name, such as "Europe/Berlin"', repr(name[:60]),
-               f"Perhaps {' or '.join(map(repr, near))} is meant." if near else "")  # fmt: skip
+        refuse("time_zone", 'a time zone by its name, such as "Europe/Berlin"', repr(name[:60]), meant(near))
 
 
 class Reader:

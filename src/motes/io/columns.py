@@ -1,6 +1,5 @@
 """Columns of numbers and times, from the text of their cells, which know where their rows stand in the file they came from."""
 
-import difflib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from motes.core.checks import FileError, refuse
+from motes.core.spelling import perhaps
 from motes.io.clocks import Clock, Reader, proposed
 from motes.io.dialect import PLAIN, Dialect
 from motes.io.files import label, reject
@@ -182,7 +182,7 @@ class Cells:
 
     def clock(self, name: str) -> Clock:
         """Return how the times of a column of numbers are written: in its unit."""
-        unit = UNITS.get(known(self.dialect.units.get(name, "s")) or "s", UNITS["s"])
+        unit = UNITS[known(self.dialect.units.get(name, "s")) or "s"]
         return Clock(unit=unit.factor if unit.kind == "time" else 1.0)
 
     def _kind(self, name: str, cell: str) -> tuple[Callable[[str], float], str]:
@@ -229,19 +229,25 @@ def check_names_of_units(path: Any, names: Sequence[str], dialect: Dialect) -> N
     """
     for name in dialect.units:
         if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            hint = f"Perhaps {near[0]!r} is meant." if near else ""
-            refuse("units", f"names of columns of {label(path)}: {', '.join(names)[:200]}", repr(name[:60]), hint)
+            expected = f"names of columns of {label(path)}: {', '.join(names)[:200]}"
+            refuse("units", expected, repr(name[:60]), perhaps(name, names, 1))
 
 
-def made_of(source: Cells, cells: Mapping[str, Sequence[str]], texts: Sequence[str]) -> Columns:
-    """Return columns of texts as columns of numbers and times; see `Cells.column`."""
+def made_of(source: Cells, cells: Mapping[str, Any], texts: Sequence[str], read: Callable[..., Any] = Cells.column) -> Columns:
+    """Return columns of a file as columns of numbers and times, and of text.
+
+    Args:
+        source: where they come from.
+        cells: of each column, as the file has them.
+        texts: names of columns of text.
+        read: gives the numbers of a column, of source, name and cells, and how they were written if they are times; see `Cells.column`.
+    """
     found, clocks = {}, {}
     for name, column in cells.items():
         if name in texts:
             found[name] = labels(column)
         else:
-            found[name], clock = source.column(name, column)
+            found[name], clock = read(source, name, column)
             clocks[name] = clock or source.clock(name)
     return Columns(found, label(source.path), source.word, source.lines, clocks=clocks)
 

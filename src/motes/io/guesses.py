@@ -1,7 +1,6 @@
 """Which columns of a table may be what is asked for, by their names: proposals for people, never taken without asking."""
 
 import difflib
-import json
 import os
 import re
 import unicodedata
@@ -10,7 +9,7 @@ from typing import NamedTuple
 
 from motes.core.checks import FileError
 from motes.io.columns import MissingColumnError
-from motes.io.units import UNITS, known, quoted
+from motes.io.units import UNITS, known, quoted, text
 
 WORDS = {
     "time": "time timestamp t date datetime utc unix seconds sec secs epoch clock zeit zeitpunkt datum uhrzeit temps fecha",
@@ -130,8 +129,3 @@ def proposing(reason: MissingColumnError, lines: Sequence[str], lost: Sequence[s
     if lines:
         error.add_note("\n".join(["[data]", f"file = {text(os.path.normpath(reason.path))}", *lines]))
     return error
-
-
-def text(value: str) -> str:
-    """Return a text as TOML has it."""
-    return json.dumps(value, ensure_ascii=False)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from motes.io.clocks import Clock
-from motes.io.columns import Cells, Columns, chosen_names, labels
-from motes.io.files import foreign, label, reject
+from motes.io.columns import Cells, Columns, chosen_names, made_of
+from motes.io.files import foreign, reject
 
 JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(\[\s*[{\]]|\{\s*[\"}])")
 LARGEST, PACKED = 1 << 25, 30
@@ -60,14 +60,7 @@ def read_json(path: str | os.PathLike[str], data: bytes, wanted: list[str] | Non
     if len(lengths) != 1 or 0 in lengths:
         reject(path, "columns of one length, with at least one row", str(sorted(lengths))[:80] if chosen else "none")
     rows = range(1, len(columns[chosen[0]]) + 1)
-    source, found, clocks = replace(source, lines=rows), {}, {}
-    for name in chosen:
-        if name in texts:
-            found[name] = labels(columns[name])
-        else:
-            found[name], clock = _numbers(source, name, columns[name])
-            clocks[name] = clock or source.clock(name)
-    return Columns(found, label(path), "row", rows, clocks=clocks)
+    return made_of(replace(source, lines=rows), {name: columns[name] for name in chosen}, texts, _numbers)
 
 
 def json_columns(path: str | os.PathLike[str], data: bytes) -> dict[str, list[Any]]:

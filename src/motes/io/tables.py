@@ -14,9 +14,9 @@ import numpy as np
 
 from motes.core.checks import need, refuse
 from motes.io.clocks import Clock
-from motes.io.columns import MISSING, Cells, Columns, chosen_names, is_number, labels, made_of
+from motes.io.columns import MISSING, Cells, Columns, chosen_names, is_number, made_of
 from motes.io.dialect import PLAIN, Dialect
-from motes.io.files import foreign, label, look, reject
+from motes.io.files import foreign, look, reject
 from motes.io.instants import TICKS
 from motes.io.instants import times as times
 from motes.io.json_tables import JSON_START, json_columns, read_json, unzipped
@@ -229,26 +229,18 @@ def _read_parquet(path: str | os.PathLike[str], size: int, wanted: list[str] | N
             reject(path, "at least one row", "column names only")
         table = stored.read(columns=chosen, use_threads=False)
         table.validate(full=True)
-        source = replace(source, lines=range(1, rows + 1))
-        found, clocks = {}, {}
-        for name in chosen:
-            if name in texts:
-                found[name] = labels(table.column(name).to_pylist())
-            else:
-                found[name], clocks[name] = _arrow_numbers(source, name, table.column(name))
-        return Columns(found, label(path), "row", source.lines, clocks=clocks)
+        cells = {name: table.column(name).to_pylist() if name in texts else table.column(name) for name in chosen}
+        return made_of(replace(source, lines=range(1, rows + 1)), cells, texts, _arrow_numbers)
 
 
-def _arrow_numbers(source: Cells, name: str, column: Any) -> tuple[np.ndarray, Clock]:
+def _arrow_numbers(source: Cells, name: str, column: Any) -> tuple[np.ndarray, Clock | None]:
     arrow = need("pyarrow", "io")
     kind = column.type.value_type if arrow.types.is_dictionary(column.type) else column.type
     if arrow.types.is_string(kind) or arrow.types.is_large_string(kind):
-        values, clock = source.column(name, ["" if cell is None else cell for cell in column.to_pylist()])
-        return values, clock or source.clock(name)
+        return source.column(name, ["" if cell is None else cell for cell in column.to_pylist()])
     if arrow.types.is_date(kind):
         column, kind = column.cast(arrow.timestamp("ms")), arrow.timestamp("ms")
     missing = np.asarray(column.is_null().to_numpy(zero_copy_only=False), bool)
-    clock = source.clock(name) if not arrow.types.is_timestamp(kind) else Clock("%Y-%m-%dT%H:%M:%S", suffix="Z")
     if arrow.types.is_timestamp(kind):
         ticks = column.cast(arrow.int64()).fill_null(0).to_numpy(zero_copy_only=False)
         whole, rest = np.divmod(ticks, TICKS[kind.unit])
@@ -261,4 +253,6 @@ def _arrow_numbers(source: Cells, name: str, column: Any) -> tuple[np.ndarray, C
     if np.isinf(values).any():
         row = int(np.argmax(np.isinf(values))) + 1
         reject(source.path, f"a finite number in row {row}, column {name!r}", str(values[row - 1]))
-    return values if arrow.types.is_timestamp(kind) else source.plain(name, values), clock
+    if arrow.types.is_timestamp(kind):
+        return values, Clock("%Y-%m-%dT%H:%M:%S", suffix="Z")
+    return source.plain(name, values), None

@@ -1,12 +1,14 @@
 """Units by their plain names: a number in one becomes a number in another of the same kind."""
 
 import difflib
+import json
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from motes.core.checks import refuse
+from motes.core.spelling import meant
 
 
 class Unit(NamedTuple):
@@ -82,8 +84,7 @@ def unit(place: str, name: str, expected: str = "") -> Unit:
         there = (*UNITS, *_OTHERS)
         near = difflib.get_close_matches(name, there, 3, 0.5) or difflib.get_close_matches(name.lower(), there, 3, 0.5)
         likely = list(dict.fromkeys(_OTHERS.get(one, one) for one in near))
-        refuse(place, f"a unit, such as {', '.join(of_kind[:12])}", repr(name[:40]),
-               f"Perhaps {' or '.join(map(repr, likely))} is meant." if likely else "")  # fmt: skip
+        refuse(place, f"a unit, such as {', '.join(of_kind[:12])}", repr(name[:40]), meant(likely))
     if UNITS[found].kind not in kinds:
         refuse(place, f"a unit of {kinds.pop()}: {', '.join(of_kind)}", f"{name[:40]!r}, one of {UNITS[found].kind}")
     return UNITS[found]
@@ -123,4 +124,9 @@ def as_toml(units: Mapping[str, str]) -> str:
 
 def quoted(name: str) -> str:
     """Return a name as the key of a TOML table."""
-    return name if name.isascii() and name.replace("_", "").replace("-", "").isalnum() else '"' + name.replace('"', '\\"') + '"'
+    return name if name.isascii() and name.replace("_", "").replace("-", "").isalnum() else text(name)
+
+
+def text(value: str) -> str:
+    """Return a text as TOML has it."""
+    return json.dumps(value, ensure_ascii=False)

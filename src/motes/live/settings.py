@@ -51,3 +51,8 @@ class Live:
     resume: bool = True
     patience: float = 0.0
     budget: str = ""
+
+    @property
+    def is_asked_for(self) -> bool:
+        """Whether measurements are taken as they come."""
+        return self.on or bool(self.source)

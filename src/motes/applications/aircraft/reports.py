@@ -61,7 +61,7 @@ def heard_of(table: Columns) -> Reports:
             checks.refuse(f"{table.source}: column {name!r}", f"a number between {low:g} and {high:g} in {table.place(row)}", given,
                           "Take the row out, or leave all of its position or velocity empty.", checks.FileError)  # fmt: skip
     heard = np.flatnonzero(~silent)
-    seconds = time[heard] / (MILLI if (time[heard][:1] > LATEST).any() else 1.0)
+    seconds = time[heard] * _unit(time)
     back = np.diff(seconds) < 0
     if back.any():
         row = heard[int(np.argmax(back)) + 1]
@@ -118,8 +118,13 @@ def check_agreement(source: str, heard: Reports) -> None:
 
 def clock_of(table: Columns) -> Clock:
     """Return how the times of a recording are written; very large numbers are milliseconds."""
-    clock = table.clocks[REPORT[0]]
-    return clock._replace(unit=1 / MILLI) if not clock.format and (table[REPORT[0]][:1] > LATEST).any() else clock
+    clock, unit = table.clocks[REPORT[0]], _unit(table[REPORT[0]])
+    return clock._replace(unit=unit) if not clock.format and unit != 1.0 else clock
+
+
+def _unit(time: np.ndarray) -> float:
+    """Return the unit of numbers as times, seconds."""
+    return 1 / MILLI if (time[np.isfinite(time)][:1] > LATEST).any() else 1.0
 
 
 def wrapped_degrees(angle: np.ndarray) -> np.ndarray:

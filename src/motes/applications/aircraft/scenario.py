@@ -39,6 +39,8 @@ UNSCORED = 10
 """Plots at the start that are not scored."""
 LOST = 1e3
 """A track is lost when it is further off at a plot, meters."""
+
+
 class Path(NamedTuple):
     """The true path in meters from the radar.
 

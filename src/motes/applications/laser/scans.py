@@ -10,6 +10,7 @@ import numpy as np
 
 from motes.applications.laser.settings import Topics
 from motes.applications.plausible import check_milliseconds, mend, set_to
+from motes.applications.robot.bag import SLOWEST
 from motes.applications.robot.scenario import moves
 from motes.core import checks
 from motes.io.bags import read_bag
@@ -18,14 +19,12 @@ from motes.io.columns import Columns
 from motes.io.dialect import NAMED, NamedDialect
 from motes.io.files import reject
 from motes.io.messages import POSES
-from motes.io.named_tables import named_columns, read_named
+from motes.io.named_tables import named_columns, own_unit, read_named
 from motes.io.result_table import Table
 from motes.io.units import UNITS, as_toml
 
 POSE = {"x": "m", "y": "m", "heading": "rad"}
 """Columns of the truth, and the unit of each."""
-SLOWEST = 0.01
-"""A robot that is slower than this for most of its way, in m/s, has times in other units."""
 ROUNDED = 1e-5
 """Radians by which the beams of a whole circle may miss it, by the rounding of 32 bits."""
 
@@ -100,9 +99,9 @@ def _check_units(table: Columns, written: NamedDialect, seconds: np.ndarray) -> 
         FileError: they are, with the line of TOML that says so.
     """
     most = float(np.abs(table["turn"]).max())
-    if "turn" not in written.units and most > np.pi:
+    if not own_unit(written, "turn") and most > np.pi:
         mend(table.source, "turns of a step in radians, at most half a circle", f"{most:.3g}", "Degrees", set_to(as_toml({"turn": "deg"})))
-    if "time" not in written.units and not table.clocks["time"].format:
+    if not own_unit(written, "time") and not table.clocks["time"].format:
         check_milliseconds(table.source, "time", seconds, table["forward"][1:], SLOWEST)
 
 

@@ -16,8 +16,6 @@ from motes.io.recordings import RangeOnlyRecording, read_plaza
 from motes.io.tables import read_table
 
 RANGE = "sensor_msgs/Range"
-
-
 SLOWEST = 0.01
 """A robot that is slower than this for most of its way, in m/s, has times in other units."""
 FEWEST = 20

@@ -13,7 +13,7 @@ from motes.io.clocks import Clock
 from motes.io.columns import Columns
 from motes.io.dialect import TableFile
 from motes.io.files import label, look
-from motes.io.named_tables import named_columns, read_named
+from motes.io.named_tables import named_columns, own_unit, read_named
 from motes.io.result_table import Table
 from motes.io.units import as_toml
 
@@ -57,7 +57,7 @@ def read_scans(data: TableFile, period: float) -> tuple[np.ndarray, list[np.ndar
     _refuse_rows(table, rows[:, 0] < 0, "range", "meters, not below 0", "")
     rows[:, 1] = (rows[:, 1] + np.pi) % (2 * np.pi) - np.pi
     begins = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0)
-    if "time" not in data.units and not table.clocks["time"].format:
+    if not own_unit(data, "time") and not table.clocks["time"].format:
         _check_seconds(table.source, times[begins], period)
     found: list[tuple[float, np.ndarray]] = []
     for block in np.split(np.arange(len(times)), begins[1:]):

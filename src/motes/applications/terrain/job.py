@@ -11,7 +11,7 @@ from motes.applications.interface import Job, Score, deviations
 from motes.applications.terrain import scenario
 from motes.applications.terrain.model import corrected, places_of
 from motes.applications.terrain.pictures import Tracks, error_figure, map_figure, relief
-from motes.applications.terrain.recording import roles, units_of
+from motes.applications.terrain.recording import own_unit, roles, units_of
 from motes.applications.terrain.roughness import roughness
 from motes.applications.terrain.settings import Recording, Settings
 from motes.filters.history import History
@@ -94,10 +94,10 @@ class TerrainJob(Job):
             places[:2] = flight.terrain.to_geographic(*places[:2])
         spreads = deviations(history.cov)[:, np.array(places_of(history.names))]
         expected = units_of(flight.terrain, recording)
-        own = [back_to(place, recording.units.get(name, recording.units.get(role, "")), expected[name])
-               for place, (role, name) in zip(places, list(roles(recording).items())[bool(recording.time):], strict=False)]  # fmt: skip
-        return self.way(history, dict(zip(recording.inertial, own, strict=True)),
-                        dict(zip(("north, m", "east, m", "altitude, m"), spreads.T, strict=True)))  # fmt: skip
+        inertial = [(role, name) for role, name in roles(recording).items() if name in recording.inertial]
+        own = {name: back_to(place, own_unit(recording, role), expected[name])
+               for place, (role, name) in zip(places, inertial, strict=True)}  # fmt: skip
+        return self.way(history, own, dict(zip(("north, m", "east, m", "altitude, m"), spreads.T, strict=True)))
 
     def scene(self) -> Scene:
         """Return the map in kilometers, with the inertial track; the states, which are errors of that, can be chosen, too."""

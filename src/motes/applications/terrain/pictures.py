@@ -70,37 +70,33 @@ def _draw_track(axes: Any, track: tuple[np.ndarray, np.ndarray], **look: Any) ->
 
 def ground(axes: Any, terrain: TerrainMap) -> Any:
     """Draw the hillshaded map on axes in km east and north, and return the picture of its heights."""
-    colors = need("matplotlib.colors", "results")
-    heights = np.asarray(terrain.heights, np.float64)
-    void = np.isnan(heights)
-    filled = np.where(void, np.nanmean(heights), heights)
-    lowest, highest = float(filled.min()), float(filled.max())
-    # the light wants the northernmost row first
-    light = colors.LightSource(azdeg=315, altdeg=45)
-    shade = light.hillshade(filled[::-1], vert_exag=2.0, dx=float(terrain.de), dy=float(terrain.dn))[::-1]
-    north, east = (float(side) / 1e3 for side in terrain.size)
-    half_row, half_column = float(terrain.dn) / 2e3, float(terrain.de) / 2e3
-    extent = (-half_column, east + half_column, -half_row, north + half_row)
-    axes.imshow(shade, cmap="gray", vmin=0, vmax=1, origin="lower", extent=extent)
+    heights, shade, extent = _shaded(terrain)
+    lowest, highest = float(np.nanmin(heights)), float(np.nanmax(heights))
+    axes.imshow(shade, cmap="gray", vmin=0, vmax=1, origin="upper", extent=extent)
     # the blue end of the colors lies below the lowest land
-    return axes.imshow(np.where(void, np.nan, heights), cmap="gist_earth", vmin=lowest - 0.35 * (highest - lowest), vmax=highest,
-                       origin="lower", extent=extent, alpha=0.45)
+    return axes.imshow(heights, cmap="gist_earth", vmin=lowest - 0.35 * (highest - lowest), vmax=highest, origin="upper", extent=extent,
+                       alpha=0.45)
 
 
 def relief(terrain: TerrainMap) -> tuple[np.ndarray, tuple[float, float, float, float]]:
     """Return the map as a picture, uint8 `(rows, columns, 3)`, north at the top, and what it covers: west, east, south, north, km."""
-    heights = np.asarray(terrain.heights, np.float64)[::-1]
-    void = np.isnan(heights)
-    filled = np.where(void, np.nanmean(heights), heights)
-    lowest, highest = float(filled.min()), float(filled.max())
-    light = need("matplotlib.colors", "results").LightSource(azdeg=315, altdeg=45)
-    shade = light.hillshade(filled, vert_exag=2.0, dx=float(terrain.de), dy=float(terrain.dn))[..., None]
-    share = 0.26 + 0.74 * (filled - lowest) / max(highest - lowest, 1e-9)
+    heights, shade, extent = _shaded(terrain)
+    lowest, highest = float(np.nanmin(heights)), float(np.nanmax(heights))
+    share = 0.26 + 0.74 * (heights - lowest) / max(highest - lowest, 1e-9)
     tint = need("matplotlib", "results").colormaps["gist_earth"](share)[..., :3]
-    picture = np.where(void[..., None], 0.6, 0.55 * shade + 0.45 * tint)
+    picture = np.where(np.isnan(heights)[..., None], 0.6, 0.55 * shade[..., None] + 0.45 * tint)
+    return (255 * np.clip(picture, 0, 1)).astype(np.uint8), extent
+
+
+def _shaded(terrain: TerrainMap) -> tuple[np.ndarray, np.ndarray, tuple[float, float, float, float]]:
+    """Return heights and hillshade of the map, both north at the top, and what they cover: west, east, south, north, km."""
+    heights = np.asarray(terrain.heights, np.float64)[::-1]
+    filled = np.where(np.isnan(heights), np.nanmean(heights), heights)
+    light = need("matplotlib.colors", "results").LightSource(azdeg=315, altdeg=45)
+    shade = light.hillshade(filled, vert_exag=2.0, dx=float(terrain.de), dy=float(terrain.dn))
     north, east = (float(side) / 1e3 for side in terrain.size)
     half_row, half_column = float(terrain.dn) / 2e3, float(terrain.de) / 2e3
-    return (255 * np.clip(picture, 0, 1)).astype(np.uint8), (-half_column, east + half_column, -half_row, north + half_row)
+    return heights, shade, (-half_column, east + half_column, -half_row, north + half_row)
 
 
 def _reach(terrain: TerrainMap, tracks: list[Any], side: int) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from motes.applications.plausible import check_milliseconds, mend, set_to, times_too
+from motes.applications.terrain.recording import own_unit
 from motes.applications.terrain.settings import MapFiles, Prior, Recording
 from motes.io.columns import Columns
 from motes.io.units import FOOT, as_toml
@@ -101,7 +102,7 @@ def _grounds(terrain: TerrainMap, track: tuple[np.ndarray, np.ndarray], known: n
 def _readings(files: MapFiles, recording: Recording, altitude: str) -> list[Reading]:
     """Return what may have been meant: feet and meters taken for one another, altitude and height exchanged, signs."""
     height, found = recording.height, []
-    told = {name: recording.units.get(name, recording.units.get(role, "m")) for role, name in (("altitude", altitude), ("height", height))}
+    told = {name: own_unit(recording, role) or "m" for role, name in (("altitude", altitude), ("height", height))}
     for names, factors in (((height,), (0, 1)), ((altitude,), (1, 0)), ((altitude, height), (1, 1))):
         if any(told[name] != told[names[0]] for name in names):
             continue
@@ -136,5 +137,5 @@ def check_seconds(recording: Recording, table: Columns, seconds: np.ndarray, tra
     Raises:
         FileError: they are.
     """
-    if recording.time and recording.time not in recording.units and not table.clocks[recording.time].format:
+    if recording.time and not own_unit(recording, "time") and not table.clocks[recording.time].format:
         check_milliseconds(table.source, recording.time, seconds, np.hypot(*np.diff(track, axis=1)), SLOWEST)

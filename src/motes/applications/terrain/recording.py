@@ -36,16 +36,12 @@ def check_recording(recording: Recording) -> None:
         checks.refuse("data inertial", f"the names of three columns ({horizontal}, altitude)", list(recording.inertial))
     if len(recording.truth) not in (0, 2):
         checks.refuse("data truth", f"the names of two columns ({horizontal}) or none", list(recording.truth))
-    names = _columns(recording)
+    names = list(roles(recording).values())
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         checks.refuse("data", "a column of its own for each quantity", f"{twice!r} for two of them")
     if not recording.time and not 0 < recording.step <= LONGEST:
         checks.refuse("data step", f"a number of seconds above 0 and at most {LONGEST:.0f}", recording.step)
-
-
-def _columns(recording: Recording) -> list[str]:
-    return [*((recording.time,) if recording.time else ()), *recording.inertial, recording.height, *recording.truth]
 
 
 def roles(recording: Recording) -> dict[str, str]:
@@ -54,6 +50,11 @@ def roles(recording: Recording) -> dict[str, str]:
     found = {"time": recording.time} if recording.time else {}
     found |= dict(zip((*horizontal, "altitude"), recording.inertial, strict=True)) | {"height": recording.height}
     return found | dict(zip((f"true {name}" for name in horizontal), recording.truth, strict=False))
+
+
+def own_unit(recording: Recording, role: str) -> str:
+    """Return the unit that the user told of a column, by its name or by what it is; "" for none."""
+    return recording.units.get(roles(recording)[role], recording.units.get(role, ""))
 
 
 def units_of(terrain: TerrainMap, recording: Recording) -> dict[str, str]:
