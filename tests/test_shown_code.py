@@ -56,6 +56,14 @@ def smaller(page):
     return text
 
 
+@pytest.fixture(autouse=True)
+def _precision_as_before():
+    """Pages show how precision is switched; the tests after them do not ask for that."""
+    before = jax.config.jax_enable_x64
+    yield
+    jax.config.update("jax_enable_x64", before)
+
+
 @pytest.mark.parametrize("page", each({path.name: path for path in PAGES}, BY_NIGHT))
 def test_code_of_a_page_runs_in_order(page, tmp_path, monkeypatch):
     """All in one namespace; a piece that begins with the name of a file is that file, which is run if it is a program."""

@@ -70,6 +70,7 @@ def test_a_page_shows_the_law_of_the_stream(opened):
     assert rows[-1, LEADING.index("ess")] == pytest.approx(float(stream.info.ess), rel=1e-5) or len(rows) < 10
 
 
+@pytest.mark.optimized
 def test_a_stream_that_is_watched_has_the_bits_of_a_run(opened):
     _, ys = mo.simulate(1, small_model(), 12)
     alone = mo.run(0, mo.ParticleFilter(n=200), small_model(), ys)
