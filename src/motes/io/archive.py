@@ -101,6 +101,18 @@ def _name(path: tuple[Any, ...]) -> str:
     return "/".join(path_names(path))
 
 
+def npz_path(path: str | Path) -> Path:
+    """Return the path of a file that is to be written.
+
+    Raises:
+        FileError: its name does not end in `.npz`.
+    """
+    path = Path(path)
+    if path.suffix != ".npz":
+        checks.refuse(str(path), "a name that ends in .npz", path.suffix or "no ending", error=checks.FileError)
+    return path
+
+
 def write_tree(path: Path, tree: Any, texts: dict[str, Any], kind: str) -> Path:
     """Write a tree of arrays.
 

@@ -87,9 +87,7 @@ class Chains:
         Raises:
             FileError: the ending is another, or the file cannot be written.
         """
-        path = Path(path)
-        if path.suffix != ".npz":
-            checks.refuse(str(path), "a name that ends in .npz", path.suffix or "no ending", error=checks.FileError)
+        path = archive.npz_path(path)
         tree = {"positions": self.positions, "log_density": self.log_density, "info": self.info, "last": self.last, "steps": self.steps}
         return archive.write_tree(path, tree, {"moves": list(self.moves), "kernel": self.label}, kind="chains")
 

@@ -126,9 +126,7 @@ class Fit:
         Raises:
             FileError: the ending is another, or the file cannot be written.
         """
-        path = Path(path)
-        if path.suffix != ".npz":
-            checks.refuse(str(path), "a name that ends in .npz", path.suffix or "no ending", error=checks.FileError)
+        path = archive.npz_path(path)
         error = np.zeros(0) if self.simulation_error is None else self.simulation_error
         tree = {"values": self.values, "covariance": self.covariance, "simulation_error": error,
                 "numbers": np.array([self.log_likelihood, self.measured, self.rounds])}  # fmt: skip
