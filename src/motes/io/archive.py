@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core.checks import FileError, need
+from motes.core.checks import FileError, need, refuse
 from motes.io.files import look, reject
 from motes.io.members import LARGEST, PACKED, Form, Members, opened, too_large, unpacked
 from motes.io.unfinished import unfinished
@@ -109,7 +109,7 @@ def npz_path(path: str | Path) -> Path:
     """
     path = Path(path)
     if path.suffix != ".npz":
-        checks.refuse(str(path), "a name that ends in .npz", path.suffix or "no ending", error=checks.FileError)
+        refuse(str(path), "a name that ends in .npz", path.suffix or "no ending", error=FileError)
     return path
 
 
