@@ -8,7 +8,7 @@ import pytest
 
 import motes as mo
 from live_parts import FILTER, MODEL, Given, Kept, form, run, same, texts, went
-from motes.filters.resized import resized, size_of
+from motes.filters.resized import resized
 from motes.live import pace
 from motes.live.loop import Run, Work
 from motes.live.settings import Live
@@ -104,7 +104,8 @@ def test_a_law_with_fewer_particles_is_the_same_law():
     stream.predict({"dt": 0.1, "push": 0.0})
     stream.update(np.array([0.2]))
     around = mo.Recovering(mo.ParticleFilter(n=8), lambda key, y, u, t: y)
-    assert size_of(around) == 8 and size_of(around.with_particles(16)) == 16 and size_of(mo.KalmanFilter()) is None
+    assert around.fixed_count == 8 and around.with_particles(16).fixed_count == 16 and mo.KalmanFilter().fixed_count is None
+    assert mo.Recovering(mo.AdaptiveSize(mo.ParticleFilter(n=8), (4, 8), (1.0,)), lambda key, y, u, t: y).fixed_count is None
     with pytest.raises(mo.MotesError, match="number of particles"):
         resized(None, mo.Gaussian([0.0], [[1.0]]), mo.KalmanFilter())
 

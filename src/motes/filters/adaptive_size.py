@@ -91,6 +91,11 @@ class AdaptiveSize(Wrapper):
         """The most particles that it chooses."""
         return self.sizes[-1]
 
+    @property
+    def fixed_count(self) -> None:
+        """None, as it chooses the number."""
+        return
+
     def with_particles(self, n: int) -> "AdaptiveSize":
         """Return the same filter with at most n particles, or as many more as the inner filter needs."""
         n = self.filter.with_particles(n).particle_count or n

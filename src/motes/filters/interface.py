@@ -102,6 +102,11 @@ class Filter(ABC):
         """Number of particles n that the filter is given; None of one that has none."""
         return values(self).get("n")
 
+    @property
+    def fixed_count(self) -> int | None:
+        """Number of particles of every law; None of a filter that has none, or chooses it from step to step."""
+        return self.particle_count
+
     def with_particles(self, n: int) -> "Filter":
         """Return the same filter with n particles; with the least number above, where it cannot have every number.
 

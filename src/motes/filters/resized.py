@@ -5,9 +5,8 @@ from typing import Any
 import jax
 
 from motes.core import checks, random
-from motes.core.record import replace, values
+from motes.core.record import replace
 from motes.filters.interface import Filter
-from motes.filters.wrapper import Around
 from motes.laws.carried import Carried
 from motes.resampling.schemes import Systematic
 
@@ -25,17 +24,7 @@ def resized(key: jax.Array, law: Any, filter: Filter) -> Any:
     """
     if isinstance(law, Carried):
         return replace(law, law=resized(key, law.law, filter))
-    n = size_of(filter)
+    n = filter.fixed_count
     if n is None or not law.weighted:
         checks.refuse("resize filter", "one with a number of particles n", type(filter).__name__)
     return law.resampled(Systematic().ancestors(random.child(key, random.RESAMPLE), law.log_weights, n))
-
-
-def size_of(filter: Filter) -> int | None:
-    """Return the number of particles of a filter; None where it has none, or chooses it itself."""
-    inner: Any = filter
-    while isinstance(inner, Around):
-        if "sizes" in values(inner):
-            return None
-        inner = inner.filter
-    return inner.particle_count

@@ -56,6 +56,11 @@ class Around:
         """That of the inner filter."""
         return self.filter.particle_count
 
+    @property
+    def fixed_count(self) -> int | None:
+        """That of the inner filter."""
+        return self.filter.fixed_count
+
     def with_particles(self, n: int) -> Any:
         """Return the same around the inner filter with n particles."""
         return replace(self, filter=self.filter.with_particles(n))

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 from motes.core import checks
 from motes.core.checks import FileError
 from motes.filters.interface import Filter
-from motes.filters.resized import size_of
 from motes.filters.stream import Stream
 from motes.io.archive import durable_folder, read_tree, write_tree
 from motes.io.files import label
@@ -48,7 +47,7 @@ class Checkpoint:
 
     def save(self, stream: Stream, beside: dict[str, Any], back: int) -> bool:
         """Write a checkpoint, and tell whether it is there."""
-        texts = {**beside, "identity": self._identity, "n": size_of(stream.filter)}
+        texts = {**beside, "identity": self._identity, "n": stream.filter.fixed_count}
         there = self._written(lambda: stream.save(self.path, texts, back))
         self.step = stream.t if there else self.step
         return there
@@ -86,7 +85,7 @@ class Checkpoint:
             if beside.get("begun"):
                 return Kept(None, beside)
             n = beside.get("n")
-            if n is not None and size_of(filter) is not None:
+            if n is not None and filter.fixed_count is not None:
                 filter = filter.with_particles(n)
             stream = Stream.load(self.path, filter, model, self._inputs, lag)
         except FileError as reason:

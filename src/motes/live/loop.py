@@ -14,7 +14,6 @@ import numpy as np
 from motes.core.checks import CollapseError, MotesError, refuse
 from motes.filters.info import Info
 from motes.filters.interface import Filter
-from motes.filters.resized import size_of
 from motes.filters.stream import Stream
 from motes.live import pace
 from motes.live.checkpoint import Checkpoint
@@ -281,7 +280,7 @@ class Run:
         """Begin a stream; with a budget one of as many particles as it allows."""
         if self._filter is None:
             self._filter = self._work.filter
-            if self._budget is not None and size_of(self._filter) is not None:
+            if self._budget is not None and self._filter.fixed_count is not None:
                 self._filter = pace.fitting(self._filter, partial(self._begun, u), y, u, self._budget)
         return self._begun(u, self._filter)
 
@@ -293,7 +292,7 @@ class Run:
             self._pace.ahead(self.stream.filter)
         smaller = None if seconds is None else self._pace.taken(seconds)
         if smaller is not None:
-            LOG.warning("budget: steps keep running late; from step %d on there are %s particles.", self.stream.t, size_of(smaller))
+            LOG.warning("budget: steps keep running late; from step %d on there are %s particles.", self.stream.t, smaller.fixed_count)
             self.stream.resize(smaller)
             self._filter = smaller
             self.order.settle()

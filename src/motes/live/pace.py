@@ -14,7 +14,6 @@ from motes.core.checks import MotesError
 from motes.core.record import replace
 from motes.costs.measure import StepTime
 from motes.filters.interface import Filter
-from motes.filters.resized import size_of
 from motes.filters.stream import Stream
 from motes.live.counts import LOG
 
@@ -70,7 +69,7 @@ def fitting(filter: Filter, begin: Callable[[Filter], Stream], y: Any, u: Any, b
             n -= n % LANES if n > LANES else 0
             told = line.seconds(n)
     except MotesError as reason:
-        LOG.warning("budget: %s; it begins with %d particles.", str(reason).rstrip("."), size_of(filter))
+        LOG.warning("budget: %s; it begins with %d particles.", str(reason).rstrip("."), filter.fixed_count)
         return filter
     LOG.info("budget %.3g ms: %d particles, whose step takes %.3g ms.", 1e3 * budget, n, 1e3 * told)
     return filter.with_particles(n)
@@ -94,7 +93,7 @@ class Pace:
 
     def ahead(self, filter: Filter) -> None:
         """Have the next smaller size of a filter compiled, in a thread of its own."""
-        n = size_of(filter)
+        n = filter.fixed_count
         self._next = self._thread = None
         self._last.clear()
         self._warned = False
