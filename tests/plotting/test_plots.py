@@ -37,6 +37,16 @@ def test_history(history):
     assert len(mo.plot(history).axes[0].lines) == 1
 
 
+def test_a_forecast_without_times_ahead_numbers_all_steps():
+    pandas = pytest.importorskip("pandas")
+    step = mo.LinearGaussian([[1.0]], [[1.0]])
+    model = mo.StateSpaceModel(mo.Gaussian([0.0], [[1.0]]), step, step)
+    days = np.array(["2024-01-01", "2024-01-02", "2024-02-11", "2024-03-05", "2024-03-07", "2024-05-30"], "datetime64[D]")
+    ys = pandas.Series(np.arange(6.0), days)
+    figure = mo.plot(mo.forecast(mo.run(0, mo.KalmanFilter(), model, ys), 3), truth=ys)
+    assert figure.axes[0].get_xlim() == (0, 8) and figure.axes[-1].get_xlabel() == "step"
+
+
 def test_plan():
     rows = (("marginalized x", 900, 1.0, None, 1.5, 0.1, None, 0, 16), ("plain $x$", 1200, 1.0, None, 2.5, 0.2, None, 0, 8))
     figure = mo.plot(mo.planning.Plan(mo.ParticleFilter(n=900), 1e-3, mo.io.Table(COLUMNS, rows)))

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from motes.core import checks
+from motes.filters.frames import first_step
 from motes.filters.predictive import Forecast, Predictive
 from motes.io.tabular import unlabelled
 from motes.plotting.figures import ESTIMATE, TRUE, legend_below, over_time, state_panels
@@ -33,8 +34,10 @@ def forecast_figure(forecast: Forecast, given: Any, states: tuple[int, ...] | No
                       "Draw one: jax.tree.map(lambda leaf: leaf[0], forecasts).")  # fmt: skip
     places = tuple(range(len(shown.names))) if states is None or not of_states else states
     ahead, label = times_of(shown, shown.mean.shape[0])
-    before, label = times_of(forecast.history, np.shape(forecast.history.info.ess)[0]) if shown.labels is not None else (None, label)
-    before = int(shown.start) - np.arange(np.shape(forecast.history.info.ess)[0], 0, -1) if before is None else before
+    # where the times ahead are not known, steps are numbered, those before too
+    known = shown.labels is not None and shown.labels.index is not None
+    steps = np.shape(forecast.history.info.ess)[0]
+    before = times_of(forecast.history, steps)[0] if known else first_step(shown) - np.arange(steps, 0, -1)
     figure, panels = state_panels(tuple(shown.names[place] for place in places), label=label)
     tail = slice(-BEFORE * len(ahead), None)
     for axes, place in zip(panels, places, strict=True):
