@@ -23,12 +23,12 @@ from motes.filters.interface import Filter
 from motes.filters.predictive import Forecast, Predictive
 from motes.filters.run import run
 from motes.gaussian.modes import expected
-from motes.gaussian.taylor import Taylor, affine
+from motes.gaussian.taylor import Taylor, affine, is_affine
 from motes.io.labels import Labels
 from motes.laws.carried import Carried
 from motes.laws.circular import gathered
 from motes.laws.cloud import draw, weighted_moments
-from motes.laws.conditional import AdditiveGaussian, Conditional
+from motes.laws.conditional import AdditiveGaussian
 from motes.laws.factored import FactoredGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
@@ -39,7 +39,6 @@ from motes.models.canonical import canonical, one_of
 from motes.models.interface import Model
 from motes.models.jump_markov import as_jump_markov
 from motes.models.state_space import at_step, checked_inputs
-from motes.tracing.affinity import dependence
 from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
 
@@ -165,20 +164,12 @@ def _of_sensor(model: Model, given: Any, draws: int) -> tuple[jax.Array, jax.Arr
 
 def _form_of(model: Model, laws: Law, u: Any) -> str:
     """Tell whether the sensor is a line in the states with noise that does not depend on them: one for all modes, or each its own."""
-    sensors, size = [part.sensor for part in model.each_mode()], model.size
-
-    def moments(sensor: Conditional, x: jax.Array, u: Any, t: Any) -> Any:
-        return sensor.mean(x, u, t), sensor.cov(x, u, t)
-
+    sensors = [part.sensor for part in model.each_mode()]
     if model.as_state_space().modes > len(sensors):  # a function of the mode, too
         return CURVED
-    for sensor in sensors:
-        if not sensor.has_moments:
-            return CURVED
-        given = (sensor, jax.ShapeDtypeStruct((size,), model.dtype), u, jax.ShapeDtypeStruct((), jnp.int32))
-        mean, cov = dependence(moments, given, ("fixed", "elements", "whole", "whole"))
-        if mean.pairs[..., :size, :size].any() or cov.uses.reshape(-1, size + 2)[:, :size].any():
-            return CURVED
+    x, t = jax.ShapeDtypeStruct((model.size,), model.dtype), jax.ShapeDtypeStruct((), jnp.int32)
+    if not all(sensor.has_moments and is_affine(sensor, x, u, t) for sensor in sensors):
+        return CURVED
     return ONE if all(sensor == sensors[0] for sensor in sensors) else EACH if isinstance(laws, ModeMixture) else CURVED
 
 

@@ -18,11 +18,10 @@ import numpy as np
 from motes.core import checks, linalg
 from motes.core.record import record, static
 from motes.gaussian.rule import Linearized, Rule
-from motes.gaussian.taylor import affine, slope_in
+from motes.gaussian.taylor import affine, is_affine, slope_in
 from motes.laws.conditional import AdditiveGaussian, Conditional, matrix_over, over_particles
 from motes.laws.gaussian import Gaussian
 from motes.models.mixed_linear import user_order
-from motes.tracing.affinity import dependence
 
 MOST = 100_000
 """More points than this are a particle filter's work."""
@@ -68,7 +67,7 @@ class SigmaPoints(Rule):
         if law.center.ndim > 1:
             axes = (-1, -1 if law.covariance.ndim > 2 else None)
             return jax.vmap(lambda m, P: self.linearized(part, Gaussian(m, P), u, t), axes, -1)(law.center, law.covariance)
-        if _is_affine(part, law.center, u, t):
+        if is_affine(part, law.center, u, t):  # points would find the line again, but for rounding
             return affine(part, law.center, u, t)
         factor = linalg.cholesky(law.covariance)
         near = self._scaled(part, law, factor, u, t)
@@ -76,7 +75,7 @@ class SigmaPoints(Rule):
 
     def through(self, part: Conditional, law: Gaussian, u: Any, t: Any) -> Gaussian:
         """See `Rule`; without dividing by the factor, so that a singular covariance costs nothing."""
-        if law.center.ndim > 1 or _is_affine(part, law.center, u, t):
+        if law.center.ndim > 1 or is_affine(part, law.center, u, t):
             return Rule.through(self, part, law, u, t)
         factor = linalg.cholesky(law.covariance)
         return self._scaled(part, law, factor, u, t).over(Gaussian(law.center, linalg.identity_like(law.covariance)))
@@ -85,13 +84,6 @@ class SigmaPoints(Rule):
         """Return the linear conditional in standard deviations, with the mean of the noise that the conditional has at the points."""
         found, own = regressed(part, self.points(law.center.shape[0]), law, factor, u, t)
         return Linearized(found.prediction, found.scaled_slope, found.unexplained + own)
-
-
-def _is_affine(part: Conditional, x: jax.Array, u: Any, t: Any) -> bool:
-    """Tell whether a conditional is a line with a noise that is the same everywhere: points would find it again, but for rounding."""
-    kinds = ("elements", "fixed", "fixed")
-    mean = dependence(part.mean, (x, u, t), kinds)
-    return not mean.pairs.any() and not dependence(part.cov, (x, u, t), kinds).uses.any()
 
 
 @record

@@ -12,6 +12,7 @@ from motes.gaussian.rule import Linearized, Rule, conditioned
 from motes.laws.conditional import Conditional, LinearGaussian, matrix
 from motes.laws.gaussian import Correction, Gaussian
 from motes.models.mixed_linear import user_order
+from motes.tracing.affinity import dependence
 
 
 @record
@@ -63,6 +64,13 @@ def affine(part: Conditional, x: jax.Array, u: Any, t: Any) -> Linearized:
         slope = matrix(part.A, x, u, t)
         return Linearized(slope @ x, slope, part.cov(x, u, t))
     return Linearized(part.mean(x, u, t), jax.jacfwd(lambda x: part.mean(x, u, t))(x), part.cov(x, u, t))
+
+
+def is_affine(part: Conditional, x: Any, u: Any, t: Any) -> bool:
+    """Tell whether a conditional is a line with a noise that is the same everywhere, given arrays or their shapes and types."""
+    kinds = ("elements", "fixed", "fixed")
+    mean = dependence(part.mean, (x, u, t), kinds)
+    return not mean.pairs.any() and not dependence(part.cov, (x, u, t), kinds).uses.any()
 
 
 def slope_in(part: Conditional, states: Sequence[int], X: jax.Array, u: Any, t: Any) -> jax.Array:
