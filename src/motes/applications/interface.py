@@ -16,8 +16,8 @@ import numpy as np
 
 from motes.core.findings import Diagnosis
 from motes.diagnostics.diagnose import diagnose
+from motes.filters import frames, notices
 from motes.filters import keep as keeping
-from motes.filters import notices
 from motes.filters.data import checked_data, steps_of
 from motes.filters.history import History
 from motes.filters.interface import Filter
@@ -190,7 +190,7 @@ class Job:
 
         Unless an application knows better: means and standard deviations of all states.
         """
-        spreads = deviations(history.cov)
+        spreads = frames.deviations(np.asarray(history.cov, np.float64))
         return self.way(history, dict(zip(history.names, np.asarray(history.mean, np.float64).T, strict=True)),
                         dict(zip(history.names, spreads.T, strict=True)))  # fmt: skip
 
@@ -216,11 +216,6 @@ class Job:
     def written(self, folder: Path, settings: Any) -> Any:
         """Write what was made up as a user's own files would come, and return the settings that name them by their full paths."""
         return settings
-
-
-def deviations(cov: Any) -> np.ndarray:
-    """Return the standard deviations `(t, x)` of covariances `(t, x, x)`; rounding may leave a variance a little below zero."""
-    return np.sqrt(np.maximum(np.diagonal(np.asarray(cov, np.float64), axis1=1, axis2=2), 0))
 
 
 def flags(history: History) -> list[str]:

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import TaskID
 from rich.table import Table as Shown
 
-from motes.applications.interface import Job, deviations
+from motes.applications.interface import Job
 from motes.cli.long_runs import long_run, whole_run
 from motes.core.checks import FileError, need, refuse
 from motes.core.progress import bars
@@ -23,6 +23,7 @@ from motes.core.record import replace
 from motes.core.watchdog import watched
 from motes.filters import keep
 from motes.filters.data import checked_data, steps_of
+from motes.filters.frames import deviations
 from motes.filters.history import History, joined
 from motes.filters.interface import Filter
 from motes.filters.keep import Keep
@@ -149,7 +150,7 @@ def check_smoother(seed: int, smoother: Smoother, filters: Mapping[str, Filter],
 def write_smoothed(path: Path, seed: int, smoother: Smoother, job: Job, history: History) -> None:
     """Smooth what was filtered, and write means and standard deviations as a table."""
     found = smooth(seed + 1, smoother, job.model, history, job.ys, job.inputs)
-    spread = deviations(found.cov)
+    spread = deviations(np.asarray(found.cov, np.float64))
     columns = ("step", *found.names, *(f"sd {name}" for name in found.names))
     both = np.concatenate([np.asarray(found.mean), spread], axis=1)
     Table(columns, tuple((step, *map(float, row)) for step, row in enumerate(both))).save(path)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from motes.core.findings import Finding
+from motes.filters import frames
 from motes.filters.history import History
 
 SHARP, TORN = 0.5, 1.0
@@ -21,7 +22,7 @@ def undeclared_angles(history: History) -> Finding | None:
     if not {"mean", "cov"} <= set(history.kept):
         return None
     means = np.asarray(history.mean, np.float64)
-    deviations = np.sqrt(np.maximum(np.diagonal(np.asarray(history.cov, np.float64), axis1=1, axis2=2), 0))
+    deviations = frames.deviations(np.asarray(history.cov, np.float64))
     for state in sorted(set(range(means.shape[1])) - set(history.circular)):
         for middle in (0.0, np.pi):
             steps, torn = _crossings(means[:, state] - middle, deviations[:, state])

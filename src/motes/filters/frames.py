@@ -62,9 +62,7 @@ def frame(history: Any) -> Any:
     info, columns = history.info, {}
     if "mean" in history.kept:
         columns |= mean_and_sd(history.names, history.mean, history.kept.get("cov"))
-    probabilities = history.kept.get("mode_probabilities")
-    if probabilities is not None:
-        columns |= {f"mode_{mode}": probabilities[..., mode] for mode in range(probabilities.shape[-1])}
+    columns |= of_modes(history.kept.get("mode_probabilities"))
     told = {"ess": bool(np.isfinite(np.asarray(info.ess)).any()), "log_evidence": history.has_evidence}
     for name in ("ess", "log_evidence", "nis", "alarm", "collapsed"):
         if told.get(name, True):
@@ -78,9 +76,18 @@ def mean_and_sd(names: Sequence[str], mean: Any, cov: Any) -> dict[str, np.ndarr
     for place, name in enumerate(names):
         columns[unused(name, columns)] = np.asarray(mean)[..., place]
         if cov is not None:
-            # rounding may leave a variance of a certain state a little below zero
-            columns[unused(f"{name}_sd", columns)] = np.sqrt(np.maximum(np.asarray(cov)[..., place, place], 0))
+            columns[unused(f"{name}_sd", columns)] = deviations(cov)[..., place]
     return columns
+
+
+def of_modes(probabilities: Any) -> dict[str, Any]:
+    """Return a column for each mode, of probabilities `(..., t, m)`; none where these are None."""
+    return {} if probabilities is None else {f"mode_{mode}": probabilities[..., mode] for mode in range(probabilities.shape[-1])}
+
+
+def deviations(cov: Any) -> np.ndarray:
+    """Return the standard deviations `(..., x)` of covariances `(..., x, x)`; rounding may leave a variance a little below zero."""
+    return np.sqrt(np.maximum(np.diagonal(np.asarray(cov), axis1=-2, axis2=-1), 0))
 
 
 def in_short(names: Sequence[str], mean: Any, cov: Any) -> str:
@@ -91,8 +98,7 @@ def in_short(names: Sequence[str], mean: Any, cov: Any) -> str:
         mean: `(x,)`.
         cov: `(x, x)`.
     """
-    spread = np.sqrt(np.maximum(np.diagonal(np.asarray(cov)), 0))
-    each = list(zip(names, np.asarray(mean), spread, strict=True))
+    each = list(zip(names, np.asarray(mean), deviations(cov), strict=True))
     more = f" and {len(each) - SHOWN} more" if len(each) > SHOWN else ""
     return ", ".join(f"{name} {value:.4g} +- {deviation:.2g}" for name, value, deviation in each[:SHOWN]) + more
 

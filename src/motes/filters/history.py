@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _KEPT_BY = {"law": "laws", "mode_probabilities": "modes", "delayed_mode_probabilities": "modes(lag=...)"}
 
+
 @record
 class Carry:
     """What a run hands from one step to the next.

@@ -86,13 +86,13 @@ class Predictive:
         for place, name in enumerate(self.names):
             for end, values in zip(("lower", "upper"), self.interval(level), strict=True):
                 columns[frames.unused(f"{name}_{end}", columns)] = np.asarray(values)[..., place]
-        return frames.as_frame(columns, self.labels, int(np.ravel(self.start)[0]))
+        return frames.as_frame(columns, self.labels, frames.first_step(self))
 
     def table(self, level: float = 0.95) -> Table:
         """Return the same as a `Table`, which prints."""
         lower, upper = self.interval(level)
         index = None if self.labels is None else self.labels.index
-        of_rows = int(np.ravel(self.start)[0]) + np.arange(self.mean.shape[0]) if index is None else index
+        of_rows = frames.first_step(self) + np.arange(self.mean.shape[0]) if index is None else index
         values = np.stack([np.asarray(one, np.float64) for one in (self.mean, self.sd, lower, upper)], axis=-1)
         columns = [f"{name}{end}" for name in self.names for end in ("", " sd", f" {50 - 50 * level:g} %", f" {50 + 50 * level:g} %")]
         rows = [(in_words(moment), *map(float, row.ravel())) for moment, row in zip(of_rows, values, strict=True)]

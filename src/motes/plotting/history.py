@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from motes.core import checks
-from motes.filters.frames import first_step
+from motes.filters.frames import deviations, first_step
 from motes.filters.history import History
 from motes.io.tabular import by_columns
 from motes.plotting.figures import ESTIMATE, TRUE, legend_below, over_time, state_panels
@@ -36,8 +36,8 @@ class Course(NamedTuple):
 
     @property
     def deviation(self) -> np.ndarray:
-        """Standard deviations `(..., t, x)`; rounding may leave a variance of a certain state a little below zero."""
-        return np.sqrt(np.maximum(np.diagonal(self.cov, axis1=-2, axis2=-1), 0))
+        """Standard deviations `(..., t, x)`."""
+        return deviations(self.cov)
 
 
 def course(result: History | Smoothed, truth: Any, states: tuple[int, ...]) -> Course:

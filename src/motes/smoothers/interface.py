@@ -60,9 +60,7 @@ class Smoothed:
         Raises:
             MissingExtraError: pandas is not installed.
         """
-        columns = frames.mean_and_sd(self.names, self.mean, self.cov)
-        if self.mode_probabilities is not None:
-            columns |= {f"mode_{mode}": self.mode_probabilities[..., mode] for mode in range(self.mode_probabilities.shape[-1])}
+        columns = frames.mean_and_sd(self.names, self.mean, self.cov) | frames.of_modes(self.mode_probabilities)
         return frames.as_frame(columns, self.labels, frames.first_step(self))
 
     def __str__(self) -> str:

@@ -15,9 +15,10 @@ from motes.applications.aircraft.pictures import plane, track_figure
 from motes.applications.aircraft.reports import REPORT, Reports
 from motes.applications.aircraft.settings import Settings
 from motes.applications.aircraft.world import flown_reports
-from motes.applications.interface import Job, Score, deviations
+from motes.applications.interface import Job, Score
 from motes.core import checks
 from motes.filters import keep
+from motes.filters.frames import deviations
 from motes.filters.history import History
 from motes.filters.interacting_multiple_model import InteractingMultipleModel
 from motes.filters.jump_markov import JumpMarkovFilter
@@ -107,7 +108,7 @@ class AircraftJob(Job):
         """Return the places that a run found as the recording tells them; standard deviations in meters."""
         east, north = np.asarray(history.mean, np.float64)[:, :2].T
         places = dict(zip(("latitude", "longitude"), self.path.placed(east, north), strict=True))
-        spreads = deviations(history.cov)
+        spreads = deviations(np.asarray(history.cov, np.float64))
         places = {name: back_to(place, own_unit(self.data, name), "deg") for name, place in places.items()}
         return self.way(history, places, {"east, m": spreads[:, 0], "north, m": spreads[:, 1]})
 

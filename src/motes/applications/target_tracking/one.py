@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from motes.applications.aircraft.pictures import plane
-from motes.applications.interface import Score, deviations
+from motes.applications.interface import Score
 from motes.applications.target_tracking.shared import LOST, RadarJob
 from motes.applications.target_tracking.world import range_rate
 from motes.core.record import replace as with_policy
+from motes.filters.frames import deviations
 from motes.filters.history import History
 from motes.filters.run import run
 from motes.io.named_tables import own_unit
@@ -84,7 +85,7 @@ class TrackingJob(RadarJob):
         east, north = np.asarray(history.mean, np.float64)[:, :2].T
         polar = {"range": back_to(np.hypot(east, north), own_unit(self.data, "range"), "m"),
                  "azimuth": back_to(np.degrees(np.arctan2(east, north)) % 360, own_unit(self.data, "azimuth"), "deg")}  # fmt: skip
-        spreads = deviations(history.cov)
+        spreads = deviations(np.asarray(history.cov, np.float64))
         return self.way(history, polar | {"east, m": east, "north, m": north}, {"east, m": spreads[:, 0], "north, m": spreads[:, 1]})
 
     def scene(self) -> Scene:

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from motes.applications.interface import Job, Score, deviations
+from motes.applications.interface import Job, Score
 from motes.applications.terrain import scenario
 from motes.applications.terrain.model import corrected, places_of
 from motes.applications.terrain.pictures import Tracks, error_figure, map_figure, relief
 from motes.applications.terrain.recording import own_unit, roles, units_of
 from motes.applications.terrain.roughness import roughness
 from motes.applications.terrain.settings import Recording, Settings
+from motes.filters.frames import deviations
 from motes.filters.history import History
 from motes.filters.marginalized import MarginalizedParticleFilter
 from motes.filters.particle import ParticleFilter
@@ -92,7 +93,7 @@ class TerrainJob(Job):
         places = [np.asarray(part, np.float64) for part in corrected(flight.inputs, history.mean, history.names)]
         if recording.coordinates == "map":
             places[:2] = flight.terrain.to_geographic(*places[:2])
-        spreads = deviations(history.cov)[:, np.array(places_of(history.names))]
+        spreads = deviations(np.asarray(history.cov, np.float64))[:, np.array(places_of(history.names))]
         expected = units_of(flight.terrain, recording)
         inertial = [(role, name) for role, name in roles(recording).items() if name in recording.inertial]
         own = {name: back_to(place, own_unit(recording, role), expected[name])
