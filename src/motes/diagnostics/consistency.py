@@ -60,8 +60,6 @@ def nees(history: History, truth: ArrayLike, angles: tuple[int, ...] = ()) -> ja
     Raises:
         MotesError: truth has another shape.
     """
-    truth = by_columns("nees truth", truth, history.names)
-    checks.shape("nees truth", truth, history.mean.shape, "(steps, states)")
     return normalized_errors(_errors("nees truth", history, truth, angles).T, jnp.moveaxis(history.cov, 0, -1))
 
 
@@ -81,14 +79,12 @@ def coverage(history: History, truth: ArrayLike, level: float = 0.95) -> jax.Arr
 
     Args:
         history: with means and covariances; intervals are those of Gaussians with these moments.
-        truth: true states `(t, x)`; missing ones (NaN) do not count.
+        truth: true states `(t, x)`, an array or a table; missing ones (NaN) do not count.
         level: probability of the intervals.
 
     Raises:
         MotesError: truth has another shape, or the level does not lie between 0 and 1.
     """
-    truth = by_columns("coverage truth", truth, history.names)
-    checks.shape("coverage truth", truth, history.mean.shape, "(steps, states)")
     checks.probability("coverage level", level)
     widest = float(ndtri(0.5 + level / 2)) * jnp.sqrt(jnp.diagonal(history.cov, axis1=1, axis2=2))
     off = jnp.abs(_errors("coverage truth", history, truth))
@@ -96,5 +92,7 @@ def coverage(history: History, truth: ArrayLike, level: float = 0.95) -> jax.Arr
 
 
 def _errors(argument: str, history: History, truth: ArrayLike, angles: tuple[int, ...] = ()) -> jax.Array:
-    """Truth less means `(t, x)`, the short way round in angles."""
+    """Truth less means `(t, x)`, the short way round in angles; a truth of another shape is refused."""
+    truth = by_columns(argument, truth, history.names)
+    checks.shape(argument, truth, history.mean.shape, "(steps, states)")
     return wrap((checks.as_float(argument, truth) - history.mean).T, (*history.circular, *angles)).T

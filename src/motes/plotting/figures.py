@@ -11,7 +11,10 @@ from motes.core.checks import need
 
 TRUE, ESTIMATE, INERTIAL, OTHER = "#111111", "#0072b2", "#d55e00", "#009e73"
 COLORS = (ESTIMATE, INERTIAL, OTHER, "#cc79a7", "#e69f00", "#56b4e9")
+DASHED = {"color": TRUE, "linewidth": 1.0, "linestyle": (0, (4, 2))}
+"""Line of what estimates are held against: the truth, or a bound."""
 COLUMNS = 3
+"""So many panels are side by side."""
 ALONE, BESIDE = 6.5, 4.0
 """Inches that a panel over time is wide, alone and among others."""
 ENTRY = 1.3

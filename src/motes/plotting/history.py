@@ -8,7 +8,7 @@ from motes.core import checks
 from motes.filters.frames import deviations, first_step
 from motes.filters.history import History
 from motes.io.tabular import by_columns
-from motes.plotting.figures import ESTIMATE, TRUE, legend_below, over_time, state_panels
+from motes.plotting.figures import DASHED, ESTIMATE, legend_below, over_time, state_panels
 from motes.smoothers.interface import Smoothed
 
 LINES = 20
@@ -105,9 +105,16 @@ def history_figure(result: History | Smoothed, truth: Any, states: tuple[int, ..
     return figure
 
 
+def some_of(runs: np.ndarray) -> list[tuple[str | None, np.ndarray]]:
+    """Return those of many runs `(r, ...)` that are drawn as lines, the first with what they are called in a legend."""
+    shown = runs[:LINES]
+    name = f"means of {len(shown)} of {len(runs)} runs"
+    return [(None if number else name, one) for number, one in enumerate(shown)]
+
+
 def _truth(axes: Any, drawn: Course, state: int) -> None:
     if drawn.truth is not None:
-        axes.plot(drawn.times, drawn.truth[:, state], color=TRUE, linewidth=1.0, linestyle=(0, (4, 2)), label="truth")
+        axes.plot(drawn.times, drawn.truth[:, state], **DASHED, label="truth")
 
 
 def _runs_figure(drawn: Course) -> Any:
@@ -116,8 +123,7 @@ def _runs_figure(drawn: Course) -> Any:
     figure, panels = state_panels(drawn.names, label=drawn.label)
     lower, middle, upper = np.nanquantile(means, (0.05, 0.5, 0.95), axis=0)
     for state, axes in enumerate(panels):
-        for number, line in enumerate(means[:LINES, :, state]):
-            name = f"means of {min(LINES, len(means))} of {len(means)} runs" if number == 0 else None
+        for name, line in some_of(means[..., state]):
             axes.plot(drawn.times, line, color="0.55", linewidth=0.6, alpha=0.7, label=name)
         axes.fill_between(drawn.times, lower[:, state], upper[:, state], color=ESTIMATE, alpha=0.22, linewidth=0, label="nine of ten")
         axes.plot(drawn.times, middle[:, state], color=ESTIMATE, linewidth=1.4, label="median")

@@ -4,10 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from motes.plotting.figures import COLORS, TRUE, WORDS, legend_below, new_figure, tidy
+from motes.plotting.figures import BESIDE, COLORS, COLUMNS, DASHED, WORDS, legend_below, new_figure, tidy
 from motes.studies.result import StudyResult
-
-COLUMNS = 3
 
 
 def study_figure(result: StudyResult, bound: Any = None) -> Any:
@@ -22,7 +20,7 @@ def study_figure(result: StudyResult, bound: Any = None) -> Any:
     """
     columns = min(COLUMNS, len(result.blocks))
     rows = -(-len(result.blocks) // columns)
-    figure = new_figure(4.0 * columns, 2.6 * rows + 0.6)
+    figure = new_figure(BESIDE * columns, 2.6 * rows + 0.6)
     steps = np.arange(result.truth.shape[1])
     for place, (block, _) in enumerate(result.blocks):
         axes = figure.add_subplot(rows, columns, place + 1)
@@ -31,7 +29,7 @@ def study_figure(result: StudyResult, bound: Any = None) -> Any:
             # a leading underscore would hide the name from the legend
             axes.plot(steps, line, color=COLORS[number % len(COLORS)], linewidth=1.4, label=f" {name}")
         if bound is not None:
-            axes.plot(steps, result.bound_over_time(block, bound), color=TRUE, linewidth=1.0, linestyle=(0, (4, 2)), label="bound")
+            axes.plot(steps, result.bound_over_time(block, bound), **DASHED, label="bound")
         axes.set_title(f"RMSE of {block}", fontsize=10, **WORDS)
         axes.set_ylim(bottom=0)
         axes.set_xlim(0, max(steps[-1], 1))

@@ -6,8 +6,8 @@ import numpy as np
 
 from motes.filters.history import History
 from motes.plotting.animation import moments
-from motes.plotting.figures import ESTIMATE, TRUE, WORDS, legend_below, new_figure, one_scale, tidy, two_sigma
-from motes.plotting.history import LINES, course
+from motes.plotting.figures import DASHED, ESTIMATE, WORDS, legend_below, new_figure, one_scale, tidy, two_sigma
+from motes.plotting.history import course, some_of
 from motes.smoothers.interface import Smoothed
 
 ELLIPSES = 16
@@ -31,13 +31,12 @@ def plane_figure(result: History | Smoothed, truth: Any, states: tuple[int, int]
     tidy(axes)
     runs = drawn.mean.reshape(-1, *drawn.mean.shape[-2:])
     if len(runs) > 1:
-        for number, mean in enumerate(runs[:LINES]):
-            name = None if number else f"means of {min(LINES, len(runs))} of {len(runs)} runs"
+        for name, mean in some_of(runs):
             axes.plot(*mean.T, color=ESTIMATE, linewidth=0.6, alpha=0.6, label=name)
     else:
         _track(axes, runs[0], drawn.cov.reshape(-1, 2, 2))
     if drawn.truth is not None:
-        axes.plot(*drawn.truth.T, color=TRUE, linewidth=1.0, linestyle=(0, (4, 2)), label="truth")
+        axes.plot(*drawn.truth.T, **DASHED, label="truth")
     axes.set_xlabel(drawn.names[0], **WORDS)
     axes.set_ylabel(drawn.names[1], **WORDS)
     axes.autoscale_view()
