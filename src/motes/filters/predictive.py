@@ -83,9 +83,10 @@ class Predictive:
             MissingExtraError: pandas is not installed.
         """
         columns = frames.mean_and_sd(self.names, self.mean, self.cov)
+        lower, upper = map(np.asarray, self.interval(level))
         for place, name in enumerate(self.names):
-            for end, values in zip(("lower", "upper"), self.interval(level), strict=True):
-                columns[frames.unused(f"{name}_{end}", columns)] = np.asarray(values)[..., place]
+            for end, values in (("lower", lower), ("upper", upper)):
+                columns[frames.unused(f"{name}_{end}", columns)] = values[..., place]
         return frames.as_frame(columns, self.labels, frames.first_step(self))
 
     def table(self, level: float = 0.95) -> Table:

@@ -40,16 +40,17 @@ def forecast_figure(forecast: Forecast, given: Any, states: tuple[int, ...] | No
     before = times_of(forecast.history, steps)[0] if known else first_step(shown) - np.arange(steps, 0, -1)
     figure, panels = state_panels(tuple(shown.names[place] for place in places), label=label)
     tail = slice(-BEFORE * len(ahead), None)
-    for axes, place in zip(panels, places, strict=True):
-        if of_states and "mean" in forecast.history.kept and "cov" in forecast.history.kept:
-            past = course(forecast.history, None, (place,))
-            mean, deviation = past.mean[tail, 0], past.deviation[tail, 0]
+    past = course(forecast.history, None, places) if of_states and {"mean", "cov"} <= set(forecast.history.kept) else None
+    bands = [np.asarray(shown.interval(level), np.float64) for level in LEVELS]
+    median = np.asarray(shown.quantile(0.5), np.float64)
+    for number, (axes, place) in enumerate(zip(panels, places, strict=True)):
+        if past is not None:
+            mean, deviation = past.mean[tail, number], past.deviation[tail, number]
             axes.fill_between(before[tail], mean - 2 * deviation, mean + 2 * deviation, color="0.6", alpha=0.3, linewidth=0)
             axes.plot(before[tail], mean, color="0.4", linewidth=1.2, label="mean before, 2 sigma")
-        for level, depth in zip(LEVELS, (0.18, 0.25, 0.35), strict=True):
-            lower, upper = (np.asarray(end, np.float64)[:, place] for end in shown.interval(level))
-            axes.fill_between(ahead, lower, upper, color=ESTIMATE, alpha=depth, linewidth=0, label=f"{level:.0%}")
-        axes.plot(ahead, np.asarray(shown.quantile(0.5), np.float64)[:, place], color=ESTIMATE, linewidth=1.4, label="median")
+        for level, depth, (lower, upper) in zip(LEVELS, (0.18, 0.25, 0.35), bands, strict=True):
+            axes.fill_between(ahead, lower[:, place], upper[:, place], color=ESTIMATE, alpha=depth, linewidth=0, label=f"{level:.0%}")
+        axes.plot(ahead, median[:, place], color=ESTIMATE, linewidth=1.4, label="median")
     if given is not None and not of_states:
         _draw_given(panels, given, len(places), before, ahead, tail)
     legend_below(figure, panels[0], 5)
