@@ -16,6 +16,7 @@ import motes as mo
 from data import refused
 from motes.io.calendars import calendar
 from motes.io.tabular import unlabelled
+from motes.models.state_space import numbers_of
 
 STEADY, BOTH = mo.LinearGaussian([[1.0]], [[1.0]]), mo.LinearGaussian(np.eye(2), np.eye(2))
 LEVEL = mo.StateSpaceModel(mo.Gaussian([0.0], [[10.0]]), STEADY, STEADY, ("level",))
@@ -197,6 +198,15 @@ def test_truths_are_found_by_name():
     wanted = np.nan_to_num(PLAIN)
     assert np.array_equal(mo.diagnostics.nees(history, truth), mo.diagnostics.nees(history, wanted))
     assert np.array_equal(mo.diagnostics.coverage(history, truth), mo.diagnostics.coverage(history, wanted))
+
+
+def test_tables_are_inputs_too():
+    pl, xr = pytest.importorskip("polars"), pytest.importorskip("xarray")
+    row = VALUES[2:]
+    for one in (pd.Series(row), pl.Series(row), xr.DataArray(row), {"v": pd.Series(row)}, xr.Dataset({"v": ("time", row)})):
+        assert np.array_equal(jax.tree.leaves(numbers_of("inputs", one))[0], row)
+    for one in (pl.DataFrame({"v": row}).lazy(), {"v": xr.Dataset({"v": ("time", row)})}):
+        assert np.array_equal(jax.tree.leaves(numbers_of("inputs", one))[0], row[:, None])
 
 
 def test_posteriors_and_parallel_runs_take_them():

@@ -177,7 +177,7 @@ def by_name(value: Any) -> Any:
 def plain(argument: str, value: Any) -> Any:
     """Return the numbers of data without labels; a series stays one row of numbers, `(t,)`. See `unlabelled`."""
     found, _ = unlabelled(argument, value)
-    return found[:, 0] if found is not value and _kind(value) is not None and len(value.shape) == 1 else found
+    return found[:, 0] if found is not value and np.shape(found)[1:] == (1,) and len(getattr(value, "shape", ())) == 1 else found
 
 
 def by_columns(argument: str, value: Any, names: tuple[str, ...]) -> Any:
