@@ -184,12 +184,17 @@ def test_many_runs_as_tables():
     assert frame.index.names == ["run", "day"] and frame.shape[0] == 18 and dict(data.sizes)["run"] == 3
     assert np.array_equal(frame.loc[1, "level"], many.mean[1, :, 0]) and data.indexes["time"].equals(DAYS)
     assert data["log_likelihood"].shape == (3,)
+    line = mo.times([0.0, 1.5, 2.0], np.ones((3, 1)))
+    many = jax.vmap(lambda key: mo.run(key, mo.ParticleFilter(n=20, on_collapse="predict"), LEVEL, line))(keys)
+    assert many.to_pandas().loc[2].index.tolist() == many.to_xarray().time.values.tolist() == [0.0, 1.5, 2.0]
 
 
 def test_smoothed_laws_keep_the_times():
     history = mo.run(0, mo.KalmanFilter(), LEVEL, pd.Series(VALUES, DAYS))
     smoothed = mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), LEVEL, history)
     assert smoothed.to_pandas().index.equals(DAYS) and list(smoothed.to_pandas()) == ["level", "level_sd"]
+    history = mo.run(0, mo.KalmanFilter(), LEVEL, mo.times([0.0, 1.5], np.ones((2, 1))))
+    assert mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), LEVEL, history).to_pandas().index.tolist() == [0.0, 1.5]
 
 
 def test_truths_are_found_by_name():

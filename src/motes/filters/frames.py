@@ -48,13 +48,18 @@ def _time(history: Any, steps: int) -> tuple[np.ndarray, dict[str, str]]:
         index = labels.index.astype("datetime64[s]") if labels.index.dtype == "datetime64[D]" else labels.index
         return index, {"long_name": labels.name} if labels.name else {}
     if history.times is not None:
-        return np.asarray(history.times), {"units": "s"}
+        return seconds_of(history), {"units": "s"}
     return first_step(history) + np.arange(steps), {"long_name": "step"}
 
 
 def first_step(history: Any) -> int:
     """Return the index of the first step, which many runs at once share."""
     return int(np.ravel(history.start)[0])
+
+
+def seconds_of(history: Any) -> Any:
+    """Return the times of steps in seconds, `(t,)`, which many runs at once share; None where they have none."""
+    return None if history.times is None else np.reshape(history.times, (-1, np.shape(history.times)[-1]))[0]
 
 
 def frame(history: Any) -> Any:
@@ -67,7 +72,7 @@ def frame(history: Any) -> Any:
     for name in ("ess", "log_evidence", "nis", "alarm", "collapsed"):
         if told.get(name, True):
             columns[unused(name, columns)] = getattr(info, name)
-    return as_frame(columns, history.labels, first_step(history), history.times)
+    return as_frame(columns, history.labels, first_step(history), seconds_of(history))
 
 
 def mean_and_sd(names: Sequence[str], mean: Any, cov: Any) -> dict[str, np.ndarray]:
@@ -131,7 +136,7 @@ def as_frame(columns: dict[str, Any], labels: Labels | None, start: int = 0, sec
     if labels is not None and labels.index is not None:
         index = labels.pandas_index()
     elif seconds is not None:
-        index = pandas.Index(np.asarray(seconds), name="time")
+        index = pandas.Index(seconds, name="time")
     else:
         index = pandas.RangeIndex(start, start + shape[-1], name="step")
     if len(shape) > 1:

@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from motes.core import checks
-from motes.filters.frames import deviations, first_step
+from motes.filters.frames import deviations, first_step, seconds_of
 from motes.filters.history import History
+from motes.filters.predictive import Predictive
 from motes.io.tabular import by_columns
 from motes.plotting.figures import DASHED, ESTIMATE, legend_below, over_time, state_panels
 from motes.smoothers.interface import Smoothed
@@ -61,15 +62,15 @@ def course(result: History | Smoothed, truth: Any, states: tuple[int, ...]) -> C
     return Course(times, label, names, means[..., states], covs[..., states, :][..., states], truth)
 
 
-def times_of(result: Any, steps: int) -> tuple[np.ndarray, str]:
+def times_of(result: History | Smoothed | Predictive, steps: int) -> tuple[np.ndarray, str]:
     """Return the times of the steps of a result, as they were given, and what they are."""
-    labels, seconds = result.labels, getattr(result, "times", None)
+    labels = result.labels
     if labels is not None and labels.index is not None:
         if labels.index.dtype.kind == "m":
             return labels.index / np.timedelta64(1, "s"), "time, s"
         return labels.index, (labels.name or "time") + (", UTC" if labels.zone else "")
-    if seconds is not None:
-        return np.asarray(seconds), "time, s"
+    if not isinstance(result, Predictive) and result.times is not None:
+        return seconds_of(result), "time, s"
     return first_step(result) + np.arange(steps), "step"
 
 

@@ -39,6 +39,7 @@ class Smoothed:
         label: the smoother, as it prints.
         labels: times of the steps and names of columns, as those of the history; None where it has none.
         start: index of the first step.
+        times: of the steps, seconds, as those of the history; None where it has none.
     """
 
     mean: jax.Array
@@ -51,6 +52,7 @@ class Smoothed:
     label: str = static(default="")
     labels: Labels | None = static(default=None)
     start: jax.Array | int = 0
+    times: Any = None
 
     def to_pandas(self) -> "DataFrame":
         """Return a `pandas.DataFrame` with a row for each step, indexed as the history is (extra `results`).
@@ -61,7 +63,7 @@ class Smoothed:
             MissingExtraError: pandas is not installed.
         """
         columns = frames.mean_and_sd(self.names, self.mean, self.cov) | frames.of_modes(self.mode_probabilities)
-        return frames.as_frame(columns, self.labels, frames.first_step(self))
+        return frames.as_frame(columns, self.labels, frames.first_step(self), frames.seconds_of(self))
 
     def __str__(self) -> str:
         """Print what was smoothed, one line each."""

@@ -64,7 +64,8 @@ def smooth(
     found = _smooth(random.key_or_data(key), smoother, known, bare, ys, inputs, Beside((smoother, known)))
     if smoother.lost is not None and checks.is_concrete(found.mean):
         _ask_found(smoother, found.mean, history)
-    return replace(found, names=history.names, label=repr(smoother), labels=history.labels, start=history.start)
+    of_steps = {"labels": history.labels, "start": history.start, "times": history.times}
+    return replace(found, names=history.names, label=repr(smoother), **of_steps)
 
 
 def _ask_found(smoother: Smoother, mean: jax.Array, history: History) -> None:
