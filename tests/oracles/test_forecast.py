@@ -11,8 +11,8 @@ FAR = 4.9
 """Standard errors beyond which lies one in a million of normal numbers, on both sides."""
 
 
-def level(q=1469.1, r=15_099.0):
-    return mo.StateSpaceModel(mo.Gaussian([0.0], [[1e7]]), mo.LinearGaussian([[1.0]], [[q]]), mo.LinearGaussian([[1.0]], [[r]]), ("level",))
+def level():
+    return mo.models.local_level(15_099.0, 1469.1, mo.Gaussian([0.0], [[1e7]]))
 
 
 def test_kalman_laws_are_exact(double):
