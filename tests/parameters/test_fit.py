@@ -22,8 +22,7 @@ def short_level(p):
 
 
 def nile():
-    statsmodels = pytest.importorskip("statsmodels.api", reason="statsmodels is not installed")
-    return statsmodels.datasets.nile.load_pandas().data.volume.to_numpy().copy()
+    return mo.data.nile().values[:, 0]
 
 
 YS = np.array(mo.simulate(3, short_level({"irregular": 1.0, "level": 0.3}), 60)[1])

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from motes.core import checks, markdown
-from motes.core.record import record, static
+from motes.core.record import record, replace, static
 from motes.io import archive
 from motes.io.result_table import Table
 from motes.parameters.named import grouped
@@ -54,13 +54,15 @@ class Fit:
     @property
     def parameters(self) -> dict[str, Any]:
         """Estimates by name, numbers or arrays as they were given; what was held among them."""
-        return {name: float(value) if value.ndim == 0 else value for name, value in grouped(self.groups, self.values).items()}
+        return self._by_name(self.values)
 
     @property
     def standard_errors(self) -> dict[str, Any]:
         """Standard errors by name; 0 of what was held, NaN where they are not known."""
-        found = grouped(self.groups, self._deviations())
-        return {name: float(value) if value.ndim == 0 else value for name, value in found.items()}
+        return self._by_name(self._deviations())
+
+    def _by_name(self, numbers: np.ndarray) -> dict[str, Any]:
+        return {name: float(value) if value.ndim == 0 else value for name, value in grouped(self.groups, numbers).items()}
 
     def _deviations(self) -> np.ndarray:
         return np.sqrt(np.diag(self.covariance))
@@ -152,10 +154,7 @@ class Fit:
         error = tree["simulation_error"] if tree["simulation_error"].size else None
         found = cls(tree["values"], tree["covariance"], height, int(measured), error, None, int(rounds), tuple(texts["names"]),
                     tuple(texts["held"]), groups, *(texts[name] for name in ("converged", "message", "method", "filter")))  # fmt: skip
-        if model_of is None:
-            return found
-        values = dict(vars(found)) | {"model": model_of(found.parameters)}
-        return cls(**values)
+        return found if model_of is None else replace(found, model=model_of(found.parameters))
 
 
 def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> None:
