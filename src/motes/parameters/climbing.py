@@ -143,23 +143,23 @@ def bfgs(
     """
 
     def downward(part: np.ndarray) -> tuple[float, np.ndarray]:
-        height, up = map(np.asarray, slope(_placed(z, free, part)))
+        height, up = map(np.asarray, slope(_with_part(z, free, part)))
         usable = np.isfinite(height) and np.isfinite(up).all()
         return (-float(height), -up[free]) if usable else (_WORST, np.zeros(part.size))
 
     options = {"gtol": flat, "maxiter": rounds}
-    return _placed(z, free, minimize(downward, z[free], jac=True, method="BFGS", callback=callback, options=options).x)
+    return _with_part(z, free, minimize(downward, z[free], jac=True, method="BFGS", callback=callback, options=options).x)
 
 
-def _placed(z: np.ndarray, free: np.ndarray, part: np.ndarray) -> np.ndarray:
+def _with_part(z: np.ndarray, free: np.ndarray, part: np.ndarray) -> np.ndarray:
     z = z.copy()
     z[free] = part
     return z
 
 
-def moved(z: np.ndarray, free: np.ndarray, step: np.ndarray) -> np.ndarray:
+def stepped(z: np.ndarray, free: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Return coordinates `(p,)` with a step of some of them."""
-    return _placed(z, free, z[free] + step)
+    return _with_part(z, free, z[free] + step)
 
 
 def _polished(ascent: Ascent, z: np.ndarray) -> np.ndarray:
@@ -171,7 +171,7 @@ def _polished(ascent: Ascent, z: np.ndarray) -> np.ndarray:
         if step is None or up[free] @ step < 1e-13 * max(1.0, abs(height)):
             break
         for share in (1.0, 0.5, 0.25, 0.1, 0.01):
-            there = moved(z, free, share * step)
+            there = stepped(z, free, share * step)
             found, slopes = ascent.slope(there)
             if found >= height:
                 z, height, up = there, found, slopes

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from motes.core import random
-from motes.parameters.climbing import Ascent, Summit, lacking, moved, quasi_newton
+from motes.parameters.climbing import Ascent, Summit, lacking, quasi_newton, stepped
 from motes.parameters.likelihood import Likelihood
 
 KEYS = 8
@@ -68,12 +68,12 @@ def surveyed(keys: jax.Array, given: Likelihood, z: np.ndarray, rounds: int) -> 
         information = back.T @ found.information @ back
         if not curved:
             # a saddle, or too much noise: the highest place that was seen, and units that fit it
-            z = moved(z, free, units @ found.best)
+            z = stepped(z, free, units @ found.best)
             units = np.diag([survey.far(z, i) for i in free])
             continue
         step = np.linalg.solve(found.information, found.slope)
         far = float(np.sqrt(step @ found.information @ step))
-        z = moved(z, free, units @ (step * min(1.0, 2.0 / max(far, 1e-300))))
+        z = stepped(z, free, units @ (step * min(1.0, 2.0 / max(far, 1e-300))))
         each = np.linalg.solve(found.information, (found.slopes - found.slope).T).T @ units.T
         error = each.std(axis=0) * np.sqrt(len(each) - 1)  # by the jackknife
         # directions in which the quadratic is round, one standard error long
@@ -99,7 +99,7 @@ class _Survey:
         """Return how far a coordinate goes until the log likelihood falls by about half a nat, on average of both sides."""
         top, step = self.log_likelihood(z), 0.1
         for _ in range(12):
-            sides = [self.log_likelihood(moved(z, np.array([i]), np.array([side * step]))) for side in (-1, 1)]
+            sides = [self.log_likelihood(stepped(z, np.array([i]), np.array([side * step]))) for side in (-1, 1)]
             fall = top - np.mean(sides) if np.isfinite(sides).all() else np.inf
             if 0.25 < fall < 1:
                 break
@@ -116,7 +116,7 @@ class _Survey:
         length = _REACH * np.sqrt(q) * np.resize([0.7, 1.0, 1.3], pairs)
         one_side = (drawn / np.linalg.norm(drawn, axis=0) * length).T
         places = np.concatenate([np.zeros((1, q)), one_side, -one_side])
-        found = np.array([self._ascent.heights(moved(z, self._free, units @ place)) for place in places])
+        found = np.array([self._ascent.heights(stepped(z, self._free, units @ place)) for place in places])
         usable = np.isfinite(found).all(axis=1)
         places, found = places[usable], found[usable]
         terms = [places[:, some].prod(axis=2) for some in (even, odd) if len(some)]
