@@ -139,4 +139,3 @@ def _spread(ys: Any, rows: list[int], steps: int) -> Any:
 
     found = jax.tree.map(one, ys)
     return found if real else Observed(found, np.isin(np.arange(steps), rows))
-
