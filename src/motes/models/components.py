@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import block_diag
 
-from motes.core import checks
+from motes.core import checks, linalg
 from motes.laws.conditional import LinearGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
@@ -52,7 +51,7 @@ def assembled(components: Sequence[Component], irregular: Any, initial: Any) -> 
     """
     names = tuple(name for part in components for name in part.names)
     variances = jnp.stack([jnp.asarray(value, jnp.result_type(float)) for part in components for value in part.variances])
-    A = block_diag(*(jnp.asarray(part.A, variances.dtype) for part in components))
+    A = linalg.block_diagonal([jnp.asarray(part.A, variances.dtype) for part in components])
     known = jnp.concatenate([jnp.asarray(part.row, variances.dtype) for part in components if part.row is not None] or [variances[:0]])
     sensor = LinearGaussian(known[None], as_variance("irregular", irregular)[None, None])
     if len(known) < len(names):
