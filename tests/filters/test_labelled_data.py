@@ -149,6 +149,8 @@ def test_stamps_of_a_timeline_are_kept():
         history = mo.run(0, mo.KalmanFilter(), LEVEL, line)
         assert history.to_pandas().index.equals(stamps) and np.allclose(line.inputs["dt"], [0, 420, 82_380])
     assert mo.run(0, mo.KalmanFilter(), LEVEL, mo.times([0.0, 1.5], np.array([[1.0], [2.0]]))).to_pandas().index.tolist() == [0.0, 1.5]
+    for radar in (ys, (stamps, ys)):
+        assert mo.times(radar=radar, camera=(stamps[1:2], np.array([[4.0]]))).ys["radar"].tolist() == [[1.0], [2.0], [3.0]]
 
 
 def test_history_as_tables_and_files(tmp_path):

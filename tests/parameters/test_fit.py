@@ -7,6 +7,7 @@ import pytest
 
 import motes as mo
 from data import refused
+from motes.core.record import replace
 from motes.parameters import likelihood
 
 POSITIVE = ("irregular", "level")
@@ -22,8 +23,7 @@ def short_level(p):
 
 
 def nile():
-    statsmodels = pytest.importorskip("statsmodels.api", reason="statsmodels is not installed")
-    return statsmodels.datasets.nile.load_pandas().data.volume.to_numpy().copy()
+    return mo.data.nile().values[:, 0]
 
 
 YS = np.array(mo.simulate(3, short_level({"irregular": 1.0, "level": 0.3}), 60)[1])
@@ -172,6 +172,9 @@ def test_a_fit_prints_and_comes_back_from_its_file(exact, tmp_path):
     assert mo.parameters.Fit.load(tmp_path / "fit.npz").model is None
     with pytest.raises(mo.FileError, match="npz"):
         exact.save(tmp_path / "fit.csv")
+    for groups in ((("irregular", (3,)),), (("irregular", "x"), ("level", ()))):
+        with pytest.raises(mo.FileError, match="names of parameters"):
+            mo.parameters.Fit.load(replace(exact, groups=groups).save(tmp_path / "wrong.npz"))
     with pytest.raises(mo.FileError):
         mo.parameters.Fit.load(mo.run(0, mo.KalmanFilter(), exact.model, YS[:3]).save(tmp_path / "run.npz"))
 

@@ -5,6 +5,7 @@ with and without the particle axis mix freely; a result has the axis when an ope
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -303,3 +304,12 @@ def log_determinant(lower: jax.Array) -> jax.Array:
 def diagonal_of(a: jax.Array) -> jax.Array:
     """Diagonal `(i, *n)` of `(i, i, *n)`."""
     return jnp.stack([a[i, i] for i in range(a.shape[0])]) if a.shape[0] else jnp.zeros((0, *a.shape[2:]), a.dtype)
+
+
+def block_diagonal(blocks: Sequence[Any]) -> jax.Array:
+    """Return the matrix with square blocks along its diagonal, and zeros elsewhere."""
+    sizes = [np.shape(block)[0] for block in blocks]
+    whole, first = jnp.zeros((sum(sizes),) * 2, jnp.result_type(*blocks)), 0
+    for size, block in zip(sizes, blocks, strict=True):
+        whole, first = whole.at[first : first + size, first : first + size].set(jnp.asarray(block)), first + size
+    return whole

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks, random
+from motes.core import checks, linalg, random
 from motes.core.record import record, static
 from motes.laws.conditional import AdditiveGaussian, Conditional
 from motes.laws.law import Law
@@ -54,7 +54,7 @@ class Stacked(AdditiveGaussian):
         sizes = [part.Q.shape[0] for part in parts]  # type: ignore[union-attr]
         begins = np.cumsum([0, *sizes[:-1]])
         angles = tuple(int(begin) + angle % size for begin, size, part in zip(begins, sizes, parts, strict=True) for angle in part.angles)
-        fields = {"f": _stacked_mean, "Q": _block_diagonal([part.Q for part in parts], begins), "angles": angles, "parts": parts,
+        fields = {"f": _stacked_mean, "Q": linalg.block_diagonal([part.Q for part in parts]), "angles": angles, "parts": parts,
                   "of_parts": of_parts}  # fmt: skip
         for name, value in fields.items():
             object.__setattr__(self, name, value)
@@ -167,13 +167,6 @@ class Together(Conditional):
                 vector = not isinstance(own, Mapping) and jnp.ndim(own) < 2
                 found.append((part, jnp.atleast_1d(jnp.asarray(own)) if vector else Observed(own, there), there))
         return found
-
-
-def _block_diagonal(blocks: list[Any], begins: np.ndarray) -> jax.Array:
-    whole = jnp.zeros((int(begins[-1]) + blocks[-1].shape[0],) * 2, jnp.result_type(*blocks))
-    for begin, block in zip(begins.tolist(), blocks, strict=True):
-        whole = whole.at[begin : begin + block.shape[0], begin : begin + block.shape[0]].set(block)
-    return whole
 
 
 def _stacked_mean(x: jax.Array, u: Any, t: Any) -> jax.Array:

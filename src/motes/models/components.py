@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks
+from motes.core import checks, linalg
 from motes.laws.conditional import LinearGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
@@ -51,10 +51,7 @@ def assembled(components: Sequence[Component], irregular: Any, initial: Any) -> 
     """
     names = tuple(name for part in components for name in part.names)
     variances = jnp.stack([jnp.asarray(value, jnp.result_type(float)) for part in components for value in part.variances])
-    A, first = jnp.zeros((len(names), len(names)), variances.dtype), 0
-    for part in components:
-        own = slice(first, first + len(part.names))
-        A, first = A.at[own, own].set(jnp.asarray(part.A, A.dtype)), own.stop
+    A = linalg.block_diagonal([jnp.asarray(part.A, variances.dtype) for part in components])
     known = jnp.concatenate([jnp.asarray(part.row, variances.dtype) for part in components if part.row is not None] or [variances[:0]])
     sensor = LinearGaussian(known[None], as_variance("irregular", irregular)[None, None])
     if len(known) < len(names):
@@ -86,8 +83,3 @@ def as_variance(argument: str, value: Any) -> jax.Array:
     if checks.is_concrete(found) and not (np.isfinite(found) and found >= 0):
         checks.refuse(argument, "a variance, a number of at least 0", f"{float(found):g}")
     return found
-
-
-def each_variance(component: str, values: Sequence[Any]) -> list[jax.Array]:
-    """Return the variances of several states; see `as_variance`."""
-    return [as_variance(f"{component}[{place}]", value) for place, value in enumerate(values)]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks
-from motes.models.components import WIDE, Component, assembled, each_variance
+from motes.models.components import WIDE, Component, as_variance, assembled
 from motes.models.state_space import StateSpaceModel
 
 
@@ -40,7 +40,7 @@ def of_regressors(regressors: Any) -> Component:
         checks.positive_integer("regressors", values)
         values = [0.0] * int(values)
     try:
-        variances = each_variance("regressors", list(values))
+        variances = [as_variance(f"regressors[{place}]", value) for place, value in enumerate(values)]
     except TypeError:
         checks.refuse("regressors", "how many there are, or the variance of each one's step", repr(regressors))
     if not variances:

@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core import checks
+from motes.core import checks, linalg
 from motes.models.components import WIDE, Component, as_variance, assembled
 from motes.models.state_space import StateSpaceModel
 
@@ -71,12 +71,7 @@ def of_season(period: int, variance: Any = 0.0, harmonics: int | None = None, na
         names += (f"{name}_cos{wave}", f"{name}_sin{wave}")[: 1 + whole]
         blocks.append(_rotation(2 * np.pi * wave / period, np)[: 1 + whole, : 1 + whole])
         row += [1.0, 0.0][: 1 + whole]
-    size = len(row)
-    A, at = np.zeros((size, size)), 0
-    for block in blocks:
-        A[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    return Component(names, A, [variance] * size, row)
+    return Component(names, linalg.block_diagonal(blocks), [variance] * len(row), row)
 
 
 def of_cycle(period: Any, variance: Any = 0.0, damping: Any = 1.0) -> Component:

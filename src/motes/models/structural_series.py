@@ -66,5 +66,4 @@ def _words(component: str, value: Any) -> tuple[Any, ...]:
     if not 1 <= len(words) <= 3:
         third = "harmonics" if component == "seasonal" else "damping"
         checks.refuse(f"structural {component}", f"a period, (period, variance) or (period, variance, {third})", repr(value))
-    seasons: tuple[Any, ...] = (words[0], words[1] if len(words) > 1 else 0.0)
-    return seasons + words[2:]
+    return words

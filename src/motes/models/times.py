@@ -64,17 +64,15 @@ def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensor
     if inputs is not None:
         checks.refuse("times inputs", "none beside several sensors", "some", "Add them to `timeline.inputs`, by `timeline.seconds`.")
     found = {}
-    sensors = {name: _own_times(f"times {name}", pair) if tabular.is_labelled(pair) else pair for name, pair in sensors.items()}
-    for name, pair in sensors.items():
-        if not isinstance(pair, tuple) or len(pair) != 2:
-            checks.refuse(f"times {name}", "a pair of stamps and measurements", type(pair).__name__)
-        begun, since = instants.times(pair[0].index if isinstance(pair[0], Labels) else pair[0], name=f"times {name}")
-        found[name] = (begun, _counted(f"times {name}", pair[1], since))
+    pairs = {name: _pair(f"times {name}", given) for name, given in sensors.items()}
+    for name, (own, measured) in pairs.items():
+        begun, since = instants.times(own, name=f"times {name}")
+        found[name] = (begun, _counted(f"times {name}", measured, since))
     start = min(begun for begun, _ in found.values())
     keys = {name: _numbered(begun - start + since) for name, (begun, since) in found.items()}
     line = sorted({key for each in keys.values() for key in each})
     place = {key: row for row, key in enumerate(line)}
-    merged = {name: _spread(pair[1], [place[key] for key in keys[name]], len(line)) for name, pair in sensors.items()}
+    merged = {name: _spread(measured, [place[key] for key in keys[name]], len(line)) for name, (_, measured) in pairs.items()}
     seconds = np.array([second for second, _ in line])
     return Timeline(merged, _with_steps(None, seconds), seconds, start)
 
@@ -85,6 +83,16 @@ def _own_times(name: str, ys: Any) -> tuple[Labels, Any]:
     if own is None or own.index is None:
         checks.refuse(name, "a table or series with an index of times, or stamps beside it", type(ys).__name__)
     return own, found
+
+
+def _pair(name: str, given: Any) -> tuple[Any, Any]:
+    """Return stamps and measurements of one of several sensors."""
+    if tabular.is_labelled(given):
+        own, ys = _own_times(name, given)
+        return own.index, ys
+    if not isinstance(given, tuple) or len(given) != 2:
+        checks.refuse(name, "a pair of stamps and measurements", type(given).__name__)
+    return given[0], tabular.unlabelled(name, given[1])[0]
 
 
 def _counted(name: str, ys: Any, seconds: np.ndarray) -> np.ndarray:
@@ -131,4 +139,3 @@ def _spread(ys: Any, rows: list[int], steps: int) -> Any:
 
     found = jax.tree.map(one, ys)
     return found if real else Observed(found, np.isin(np.arange(steps), rows))
-

@@ -36,7 +36,7 @@ def stochastic_volatility(mu: Any, phi: Any, sigma: Any, leverage: Any = None) -
     """
     given = {"mu": mu, "phi": phi, "sigma": sigma}
     mu, phi, sigma = (checks.as_float(f"stochastic_volatility {name}", value) for name, value in given.items())
-    for name, value in (("mu", mu), ("phi", phi), ("sigma", sigma)):
+    for name, value in zip(given, (mu, phi, sigma), strict=True):
         checks.shape(f"stochastic_volatility {name}", value, ())
         checks.finite(f"stochastic_volatility {name}", value)
     _within("phi", phi)

@@ -5,6 +5,7 @@
 3. Where a parameter went to its bound and the likelihood is largest there, hold it there and climb once more.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ from scipy.optimize import minimize
 
 from motes.core import checks
 from motes.core.record import replace
-from motes.parameters.likelihood import Likelihood, curvature, height, slope
+from motes.parameters.likelihood import Likelihood, curvature, height, heights, slope
 from motes.parameters.named import Parameters
 from motes.tracing.identity import Beside
 
@@ -50,7 +51,7 @@ class Summit(NamedTuple):
     @property
     def free(self) -> np.ndarray:
         """Which parameters are not held, `(p,)`."""
-        return ~np.asarray(self.given.parameters.held)
+        return self.given.parameters.free
 
 
 class Ascent:
@@ -63,6 +64,10 @@ class Ascent:
     def height(self, z: np.ndarray) -> float:
         """Return the log likelihood."""
         return float(height(self.keys, self.given, np.asarray(z, np.float64), self.beside))
+
+    def heights(self, z: np.ndarray) -> np.ndarray:
+        """Return the log likelihood by each key, `(k,)`."""
+        return np.asarray(heights(self.keys, self.given, np.asarray(z, np.float64), self.beside))
 
     def slope(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         """Return log likelihood and slope."""
@@ -113,38 +118,60 @@ def quasi_newton(ascent: Ascent, z: np.ndarray, rounds: int, least: float = 0.0)
         rounds: iterations, at most.
         least: nats that an iteration must gain, or it is the last.
     """
-    free = ~np.asarray(ascent.given.parameters.held)
     last = [-np.inf]
-
-    def downward(part: np.ndarray) -> tuple[float, np.ndarray]:
-        whole = z.copy()
-        whole[free] = part
-        height, up = ascent.slope(whole)
-        usable = np.isfinite(height) and np.isfinite(up).all()
-        return (-height, -up[free]) if usable else (_WORST, np.zeros(part.size))
 
     def gained(intermediate_result: Any) -> None:
         before, last[0] = last[0], -float(intermediate_result.fun)
         if last[0] - before < least:
             raise StopIteration
 
-    done = minimize(downward, z[free], jac=True, method="BFGS", callback=gained, options={"gtol": 1e-4, "maxiter": rounds})
+    return bfgs(ascent.slope, z, ascent.given.parameters.free, 1e-4, rounds, gained)
+
+
+def bfgs(
+    slope: Callable[[np.ndarray], tuple[Any, Any]], z: np.ndarray, free: np.ndarray, flat: float, rounds: int, callback: Any = None
+) -> np.ndarray:
+    """Climb a function from coordinates `(p,)` by BFGS.
+
+    Args:
+        slope: returns height `()` and slope `(p,)`.
+        z: first coordinates.
+        free: which of them move, `(p,)`.
+        flat: slope that counts as none.
+        rounds: iterations, at most.
+        callback: as SciPy's `minimize` takes it.
+    """
+
+    def downward(part: np.ndarray) -> tuple[float, np.ndarray]:
+        height, up = map(np.asarray, slope(_with_part(z, free, part)))
+        usable = np.isfinite(height) and np.isfinite(up).all()
+        return (-float(height), -up[free]) if usable else (_WORST, np.zeros(part.size))
+
+    options = {"gtol": flat, "maxiter": rounds}
+    return _with_part(z, free, minimize(downward, z[free], jac=True, method="BFGS", callback=callback, options=options).x)
+
+
+def _with_part(z: np.ndarray, free: np.ndarray, part: np.ndarray) -> np.ndarray:
     z = z.copy()
-    z[free] = done.x
+    z[free] = part
     return z
+
+
+def stepped(z: np.ndarray, free: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return coordinates `(p,)` with a step of some of them."""
+    return _with_part(z, free, z[free] + step)
 
 
 def _polished(ascent: Ascent, z: np.ndarray) -> np.ndarray:
     """Step 2."""
-    free = ~np.asarray(ascent.given.parameters.held)
+    free = ascent.given.parameters.free
     height, up = ascent.slope(z)
     for _ in range(_POLISH):
         step = _newton(ascent.information(z)[np.ix_(free, free)], up[free])
         if step is None or up[free] @ step < 1e-13 * max(1.0, abs(height)):
             break
         for share in (1.0, 0.5, 0.25, 0.1, 0.01):
-            there = z.copy()
-            there[free] += share * step
+            there = stepped(z, free, share * step)
             found, slopes = ascent.slope(there)
             if found >= height:
                 z, height, up = there, found, slopes
@@ -193,9 +220,9 @@ def _at_bounds(ascent: Ascent, top: Summit) -> tuple[Likelihood | None, np.ndarr
         if tried[best] > top.log_likelihood + GAINED:
             return None, top.z + away * best * this
         there = replace(given, values=np.where(this, low if at_low else high, values), held=held | this)
-        moved = replace(top.given, parameters=there)
-        if Ascent(ascent.keys, moved).height(top.z) >= top.log_likelihood - GAINED:
-            return moved, None
+        bounded = replace(top.given, parameters=there)
+        if Ascent(ascent.keys, bounded).height(top.z) >= top.log_likelihood - GAINED:
+            return bounded, None
     return None, None
 
 
@@ -206,7 +233,7 @@ def started(ascent: Ascent, z: np.ndarray) -> np.ndarray:
         MotesError: the likelihood is no number there, or parameters change nothing; the message names them.
     """
     given = ascent.given.parameters
-    growing = ~np.asarray(given.held) & np.isfinite(given.lower) & np.isinf(given.upper)
+    growing = given.free & np.isfinite(given.lower) & np.isinf(given.upper)
     height, up = ascent.slope(z)
     for step in _AWAY[:4] if growing.any() and not np.isfinite(height) else ():
         height, up = ascent.slope(z + step * growing)
@@ -220,7 +247,7 @@ def started(ascent: Ascent, z: np.ndarray) -> np.ndarray:
         wrong = ", ".join(np.array(given.names)[~np.isfinite(up)])
         checks.refuse("fit init", "parameters at which the likelihood has a slope", f"none in {wrong}",
                       "Look for roots and logarithms of zero in model_of, or begin elsewhere.")
-    still = (up == 0) & ~np.asarray(given.held)
+    still = (up == 0) & given.free
     if still.any():
         still &= ascent.slope(z + np.where(still, 0.1, 0.0))[1] == 0
     if still.any():

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import minimize
 
 from motes.core import checks, linalg, random
 from motes.filters import keep
@@ -23,7 +22,7 @@ from motes.gaussian.taylor import affine
 from motes.laws.density import LOG_2PI, among, measured_in, zeroed
 from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel, as_state_space, at_step
-from motes.parameters.climbing import GAINED, Ascent, lacking
+from motes.parameters.climbing import GAINED, Ascent, bfgs, lacking
 from motes.parameters.likelihood import Likelihood
 from motes.smoothers.rauch_tung_striebel import RauchTungStriebelSmoother
 from motes.smoothers.smooth import smooth
@@ -69,20 +68,15 @@ def maximized(ascent: Ascent, z: np.ndarray, rounds: int) -> np.ndarray:
         z: first coordinates.
         rounds: at most.
     """
-    given, free = ascent.given, ~np.asarray(ascent.given.parameters.held)
+    given, free = ascent.given, ascent.given.parameters.free
     before = ascent.height(z)
     for turn in range(1, rounds + 1):
         moments = _smoothed(given, z, ascent.beside)
 
-        def downward(part: np.ndarray, moments: Any = moments, z: np.ndarray = z) -> tuple[float, np.ndarray]:
-            whole = z.copy()
-            whole[free] = part
-            height, up = map(np.asarray, _complete(given, whole, moments, ascent.beside))
-            usable = np.isfinite(height) and np.isfinite(up).all()
-            return (-float(height), -up[free]) if usable else (1e10, np.zeros(part.size))
+        def slope(z: np.ndarray, moments: Any = moments) -> tuple[jax.Array, jax.Array]:
+            return _complete(given, z, moments, ascent.beside)
 
-        z = z.copy()
-        z[free] = minimize(downward, z[free], jac=True, method="BFGS", options={"gtol": 1e-6, "maxiter": 50}).x
+        z = bfgs(slope, z, free, 1e-6, 50)
         ascent.rounds += 1
         now = ascent.height(z)
         if now - before < _LITTLE or turn % _LOOKED == 0:

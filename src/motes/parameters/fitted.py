@@ -1,5 +1,6 @@
 """What `mo.fit` gives: estimates with their standard errors, the fitted model, and how far to trust them."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from motes.core import checks, markdown
-from motes.core.record import record, static
+from motes.core.record import record, replace, static
 from motes.io import archive
 from motes.io.result_table import Table
 from motes.parameters.named import grouped
@@ -54,13 +55,15 @@ class Fit:
     @property
     def parameters(self) -> dict[str, Any]:
         """Estimates by name, numbers or arrays as they were given; what was held among them."""
-        return {name: float(value) if value.ndim == 0 else value for name, value in grouped(self.groups, self.values).items()}
+        return self._by_name(self.values)
 
     @property
     def standard_errors(self) -> dict[str, Any]:
         """Standard errors by name; 0 of what was held, NaN where they are not known."""
-        found = grouped(self.groups, self._deviations())
-        return {name: float(value) if value.ndim == 0 else value for name, value in found.items()}
+        return self._by_name(self._deviations())
+
+    def _by_name(self, numbers: np.ndarray) -> dict[str, Any]:
+        return {name: float(value) if value.ndim == 0 else value for name, value in grouped(self.groups, numbers).items()}
 
     def _deviations(self) -> np.ndarray:
         return np.sqrt(np.diag(self.covariance))
@@ -152,20 +155,30 @@ class Fit:
         error = tree["simulation_error"] if tree["simulation_error"].size else None
         found = cls(tree["values"], tree["covariance"], height, int(measured), error, None, int(rounds), tuple(texts["names"]),
                     tuple(texts["held"]), groups, *(texts[name] for name in ("converged", "message", "method", "filter")))  # fmt: skip
-        if model_of is None:
-            return found
-        values = dict(vars(found)) | {"model": model_of(found.parameters)}
-        return cls(**values)
+        return found if model_of is None else replace(found, model=model_of(found.parameters))
 
 
 def _check_forms(path: Path, forms: dict[str, Any], texts: dict[str, Any]) -> None:
     """Refuse a file whose arrays or words cannot be those of a fit, before they are read."""
-    names, held, groups = (texts.get(name) for name in ("names", "held", "groups"))
-    words = all(isinstance(texts.get(name), str) for name in ("message", "method", "filter")) and isinstance(texts.get("converged"), bool)
-    if not isinstance(names, list) or not isinstance(held, list) or not isinstance(groups, list):
-        names, held = [""], []
-    if not words or len(names) != len(held) or not all(isinstance(name, str) for name in names):
+    if not _are_words(texts):
         checks.refuse(f"{path}: texts", "names of parameters and words", "others", "Restore it from a copy.", checks.FileError)
-    count = len(names)
+    count = len(texts["names"])
     archive.agree(path, forms, {"values": ((count,), "f"), "covariance": ((count, count), "f"), "numbers": ((3,), "f"),
                                 "simulation_error": ((None,), "f")})  # fmt: skip
+
+
+def _are_words(texts: dict[str, Any]) -> bool:
+    """Tell whether words can be those of a fit, with as many names as its entries have numbers."""
+    lists: list[Any] = [texts.get(name) for name in ("names", "held", "groups")]
+    if not all(isinstance(one, list) for one in lists):
+        return False
+    names, held, groups = lists
+    words = (*names, *(texts.get(name) for name in ("message", "method", "filter")))
+    kinds = all(isinstance(one, str) for one in words) and all(isinstance(one, bool) for one in (*held, texts.get("converged")))
+    if not kinds or not all(isinstance(one, list) and len(one) == 2 and _is_entry(*one) for one in groups):
+        return False
+    return len(held) == len(names) == sum(math.prod(shape) for _, shape in groups)
+
+
+def _is_entry(name: Any, shape: Any) -> bool:
+    return isinstance(name, str) and isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)

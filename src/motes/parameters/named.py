@@ -36,6 +36,11 @@ class Parameters:
     values: Any
     held: Any
 
+    @property
+    def free(self) -> np.ndarray:
+        """Which of them are not held, `(p,)`."""
+        return ~np.asarray(self.held)
+
     def natural(self, z: Any) -> jax.Array:
         """Return the parameters `(p,)` at coordinates `(p,)`."""
         size = jnp.where(self.values == 0, 1.0, jnp.abs(self.values))
@@ -86,9 +91,8 @@ def parameters_of(init: Any, names: Any, fixed: Any, positive: Any, bounds: Any)
     Raises:
         MotesError: a name is unknown, or a number cannot be used.
     """
-    entries = {**_entries(init, names)}
+    entries, fixed = _entries(init, names), _mapping("fit fixed", fixed)
     if isinstance(init, Mapping):
-        fixed = _mapping("fit fixed", fixed)
         entries |= {name: _as_reals(f"fit fixed[{name!r}]", value) for name, value in fixed.items()
                     if isinstance(name, str) and name not in entries and name not in _elements(entries)}  # fmt: skip
     if not entries:
@@ -97,7 +101,7 @@ def parameters_of(init: Any, names: Any, fixed: Any, positive: Any, bounds: Any)
     named = _elements(entries)
     values = np.concatenate([np.ravel(value) for value in entries.values()])
     lower, upper, held = np.full(len(named), -np.inf), np.full(len(named), np.inf), np.zeros(len(named), bool)
-    for name, value in _mapping("fit fixed", fixed).items():
+    for name, value in fixed.items():
         places = _standing("fit fixed", name, entries)
         number = _as_reals(f"fit fixed[{name!r}]", value)
         if number.size not in (1, len(places)):

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from scipy.special import logsumexp
 
 from motes.core import random
-from motes.parameters.climbing import Ascent, Summit, lacking, quasi_newton
-from motes.parameters.likelihood import Likelihood, heights
-from motes.tracing.identity import Beside
+from motes.parameters.climbing import Ascent, Summit, lacking, quasi_newton, stepped
+from motes.parameters.likelihood import Likelihood
 
 KEYS = 8
 """So many likelihoods are averaged at each place."""
@@ -56,8 +56,8 @@ def surveyed(keys: jax.Array, given: Likelihood, z: np.ndarray, rounds: int) -> 
     """
     ascent = Ascent(keys, given)
     z = quasi_newton(ascent, z, rounds, least=0.5)
-    free = np.flatnonzero(~np.asarray(given.parameters.held))
-    survey = _Survey(keys, given, free)
+    free = np.flatnonzero(given.parameters.free)
+    survey = _Survey(ascent, free)
     units = np.diag([survey.far(z, i) for i in free])
     error, far = None, np.inf
     for turn in range(_PASSES):
@@ -68,12 +68,12 @@ def surveyed(keys: jax.Array, given: Likelihood, z: np.ndarray, rounds: int) -> 
         information = back.T @ found.information @ back
         if not curved:
             # a saddle, or too much noise: the highest place that was seen, and units that fit it
-            z = _moved(z, free, units @ found.best)
+            z = stepped(z, free, units @ found.best)
             units = np.diag([survey.far(z, i) for i in free])
             continue
         step = np.linalg.solve(found.information, found.slope)
         far = float(np.sqrt(step @ found.information @ step))
-        z = _moved(z, free, units @ (step * min(1.0, 2.0 / max(far, 1e-300))))
+        z = stepped(z, free, units @ (step * min(1.0, 2.0 / max(far, 1e-300))))
         each = np.linalg.solve(found.information, (found.slopes - found.slope).T).T @ units.T
         error = each.std(axis=0) * np.sqrt(len(each) - 1)  # by the jackknife
         # directions in which the quadratic is round, one standard error long
@@ -87,28 +87,19 @@ def surveyed(keys: jax.Array, given: Likelihood, z: np.ndarray, rounds: int) -> 
     return Summit(given, z, survey.log_likelihood(z), up, whole, ascent.rounds), error
 
 
-def _moved(z: np.ndarray, free: np.ndarray, step: np.ndarray) -> np.ndarray:
-    z = z.copy()
-    z[free] += step
-    return z
-
-
 class _Survey:
-    def __init__(self, keys: jax.Array, given: Likelihood, free: np.ndarray):
-        self._keys, self._given, self._free, self._beside = keys, given, free, Beside(given)
-
-    def heights(self, z: np.ndarray) -> np.ndarray:
-        return np.asarray(heights(self._keys, self._given, np.asarray(z, np.float64), self._beside))
+    def __init__(self, ascent: Ascent, free: np.ndarray):
+        self._ascent, self._free = ascent, free
 
     def log_likelihood(self, z: np.ndarray) -> float:
         """Return the logarithm of the average likelihood."""
-        return float(_log_mean(self.heights(z)))
+        return float(_log_mean(self._ascent.heights(z)))
 
     def far(self, z: np.ndarray, i: Any) -> float:
         """Return how far a coordinate goes until the log likelihood falls by about half a nat, on average of both sides."""
         top, step = self.log_likelihood(z), 0.1
         for _ in range(12):
-            sides = [self.log_likelihood(_moved(z, np.array([i]), np.array([side * step]))) for side in (-1, 1)]
+            sides = [self.log_likelihood(stepped(z, np.array([i]), np.array([side * step]))) for side in (-1, 1)]
             fall = top - np.mean(sides) if np.isfinite(sides).all() else np.inf
             if 0.25 < fall < 1:
                 break
@@ -125,12 +116,12 @@ class _Survey:
         length = _REACH * np.sqrt(q) * np.resize([0.7, 1.0, 1.3], pairs)
         one_side = (drawn / np.linalg.norm(drawn, axis=0) * length).T
         places = np.concatenate([np.zeros((1, q)), one_side, -one_side])
-        found = np.array([self.heights(_moved(z, self._free, units @ place)) for place in places])
+        found = np.array([self._ascent.heights(stepped(z, self._free, units @ place)) for place in places])
         usable = np.isfinite(found).all(axis=1)
         places, found = places[usable], found[usable]
         terms = [places[:, some].prod(axis=2) for some in (even, odd) if len(some)]
         design = np.column_stack([np.ones(len(places)), places, *terms])
-            # the logarithm of the average likelihood has less bias than the average of logarithms; of all keys, and of all but one
+        # the logarithm of the average likelihood has less bias than the average of logarithms; of all keys, and of all but one
         without = [np.delete(found, k, axis=1) for k in range(found.shape[1])]
         logs = np.column_stack([_log_mean(one) for one in (found, *without)])
         fit, *_ = np.linalg.lstsq(design, logs, rcond=None)
@@ -141,5 +132,4 @@ class _Survey:
 
 def _log_mean(found: np.ndarray) -> np.ndarray:
     """Logarithms of averages along the last axis of numbers given by their logarithms."""
-    top = found.max(axis=-1, keepdims=True)
-    return top[..., 0] + np.log(np.mean(np.exp(found - top), axis=-1))
+    return logsumexp(found, axis=-1) - np.log(found.shape[-1])
