@@ -62,9 +62,7 @@ class Stream:
         self._held: Packed | None = None
         self._like: Any = None
         self._pending: list[Inputs] = []
-        self._updated = False
-        # the law has it, too, but there it would have to be waited for
-        self._t = 0
+        self._updated, self._t = False, 0  # the law has its step, too, but there it would have to be waited for
         self.info: Info | None = None
 
     def update(self, y: Any) -> Info:

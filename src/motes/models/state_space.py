@@ -266,7 +266,7 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
 
 
 def _is_plain(leaf: Any) -> bool:
-    """Tell numbers of Python and NumPy that nothing is wrong with in any type: a stream asks at each step, and paths to leaves take long."""
+    """Tell numbers of Python and NumPy that are right in every type: a stream asks at each step, and paths to leaves take long."""
     if type(leaf) is np.ndarray:
         return leaf.dtype.kind in "biu" or (leaf.dtype.kind == "f" and bool((np.abs(leaf) <= LARGEST).all()))
     return type(leaf) in (bool, int) or (type(leaf) is float and abs(leaf) <= LARGEST)
