@@ -247,7 +247,7 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
         return None
     leaves, structure = jax.tree.flatten(inputs)
     if all(map(_is_plain, leaves)):
-        return structure.unflatten(leaves)
+        return structure.unflatten(leaf if isinstance(leaf, (bool, int, float)) else np.asarray(leaf) for leaf in leaves)
 
     def one(path: Any, leaf: Any) -> Any:
         name = argument + jax.tree_util.keystr(path)
@@ -267,6 +267,6 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
 
 def _is_plain(leaf: Any) -> bool:
     """Tell numbers of Python and NumPy that are right in every type: a stream asks at each step, and paths to leaves take long."""
-    if type(leaf) is np.ndarray:
+    if type(leaf) is np.ndarray or isinstance(leaf, np.generic):
         return leaf.dtype.kind in "biu" or (leaf.dtype.kind == "f" and bool((np.abs(leaf) <= LARGEST).all()))
     return type(leaf) in (bool, int) or (type(leaf) is float and abs(leaf) <= LARGEST)

@@ -16,11 +16,9 @@ def histograms(bins: jax.Array, boxes: jax.Array) -> jax.Array:
     across, down = (jnp.floor(boxes[axis] + share[:, None] * (boxes[axis + 2] - boxes[axis])) for axis in (0, 1))
     column, row = (jnp.clip(place, 0, most - 1).astype(jnp.int32) for place, most in ((across, width), (down, height)))
     seen = ((down >= 0) & (down < height))[:, None] & ((across >= 0) & (across < width))[None]
-    colour = jnp.take(bins.reshape(-1), row[:, None] * width + column[None], mode="clip")
+    colour = jnp.where(seen, jnp.take(bins.reshape(-1), row[:, None] * width + column[None], mode="clip"), BINS)
     many = colour.shape[-1]
-    # all histograms lie behind one another: with two indices for each point XLA takes several times as long
-    place = jnp.where(seen, jnp.arange(many) * BINS + colour, many * BINS)
-    count = jnp.zeros(many * BINS, boxes.dtype).at[place.reshape(-1)].add(1, mode="drop").reshape(many, BINS)
+    count = jnp.zeros((many, BINS), boxes.dtype).at[jnp.arange(many)[None], colour.reshape(-1, many)].add(1, mode="drop")
     return count / jnp.maximum(jnp.sum(count, axis=1, keepdims=True), 1)
 
 
