@@ -65,9 +65,9 @@ def test_what_comes_from_a_source_is_watched_and_reported(own, capsys):
     assert main(["watch", "own.py:make", *QUICK, "--source", "rows.jsonl", "--live.sinks", "track.jsonl", "--budget", "5ms"]) == 0
     said = capsys.readouterr()
     assert "messages: 6 taken." in said.err and len((own / "track.jsonl").read_text().splitlines()) == 6
-    assert re.fullmatch(r"Watch it at http\S+\nThe report is in \S+\n", said.out)
+    assert re.search(r"^Watch it at http\S+\nThe report is in \S+\n$", said.out, re.M)
     report = (own / "out" / "report.html").read_text()
-    assert "late steps" in report and '"truth": false' in report.replace('":', '": ').replace("  ", " ")
+    assert "late steps" in report and re.search('"truth": ?false', report)
     assert main(["watch", "own.py:make", *QUICK, "--live", "--live.speed", "0", "--out", "again"]) == 0
     said = capsys.readouterr()
     assert "messages: 8 taken." in said.err and said.out.endswith(f"The report is in {Path('again', 'report.html')}.\n")
