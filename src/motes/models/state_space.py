@@ -268,5 +268,7 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
 def _is_plain(leaf: Any) -> bool:
     """Tell numbers of Python and NumPy that are right in every type: a stream asks at each step, and paths to leaves take long."""
     if type(leaf) is np.ndarray or isinstance(leaf, np.generic):
-        return leaf.dtype.kind in "biu" or (leaf.dtype.kind == "f" and bool((np.abs(leaf) <= LARGEST).all()))
+        if leaf.dtype.kind != "f":
+            return leaf.dtype.kind in "biu"
+        return bool((abs(leaf.item()) if leaf.size == 1 else np.abs(leaf).max(initial=0)) <= LARGEST)
     return type(leaf) in (bool, int) or (type(leaf) is float and abs(leaf) <= LARGEST)
