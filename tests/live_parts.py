@@ -12,6 +12,7 @@ from motes.live.checkpoint import Checkpoint
 from motes.live.loop import Run, Work
 from motes.live.message import Form, Names
 from motes.live.settings import Live
+from motes.live.sink import Sink
 from motes.live.source import TextSource
 
 FILTER = mo.ParticleFilter(n=64)
@@ -50,7 +51,7 @@ class Given(TextSource):
         self.at = position
 
 
-class Kept:
+class Kept(Sink):
     """A sink that keeps records, without what depends on the clock."""
 
     name = "kept"
@@ -66,9 +67,6 @@ class Kept:
 
     def go_on(self, kept, cut):
         self.records = self.records[: kept if cut and kept is not None else None]
-
-    def close(self):
-        pass
 
 
 def run(lines, path=None, sink=None, filter=FILTER, budget=None, watchers=(), **rules):

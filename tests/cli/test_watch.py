@@ -7,6 +7,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import pytest
 
@@ -57,6 +58,20 @@ def test_a_run_is_watched_and_reported(own, capsys):
     assert re.search(r"^Watch it at http://127\.0\.0\.1:\d+/\?token=\S{43}$", said.out, re.M) and said.err == ""
     report = (own / "out" / "report.html").read_text()
     assert "particle" in report and "late steps" in report and "://" not in report.partition("</head>")[0]
+
+
+def test_what_comes_from_a_source_is_watched_and_reported(own, capsys):
+    (own / "rows.jsonl").write_text("".join(f'{{"time": {k}, "y": [0.1, null]}}\n' for k in range(6)))
+    assert main(["watch", "own.py:make", *QUICK, "--source", "rows.jsonl", "--live.sinks", "track.jsonl", "--budget", "5ms"]) == 0
+    said = capsys.readouterr()
+    assert "messages: 6 taken." in said.err and len((own / "track.jsonl").read_text().splitlines()) == 6
+    assert re.search(r"^Watch it at http\S+\nThe report is in \S+\n$", said.out, re.M)
+    report = (own / "out" / "report.html").read_text()
+    assert "late steps" in report and re.search('"truth": ?false', report)
+    assert main(["watch", "own.py:make", *QUICK, "--live", "--live.speed", "0", "--out", "again"]) == 0
+    said = capsys.readouterr()
+    assert "messages: 8 taken." in said.err and said.out.endswith(f"The report is in {Path('again', 'report.html')}.\n")
+    assert "particle" in (own / "again" / "report.html").read_text()
 
 
 def test_a_file_says_what_is_watched(own, capsys):

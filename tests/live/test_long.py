@@ -16,6 +16,7 @@ from motes.applications.robot.settings import Settings
 from motes.cli.live import form_of
 from motes.live.loop import Run, Work
 from motes.live.settings import Live
+from motes.live.sink import Sink
 from motes.live.source import TextSource
 from motes.live.udp import Datagrams
 
@@ -47,7 +48,7 @@ def disturbed(rows, generator, share=0.01, later=5):
     return [row for _, row in sorted(order, key=lambda one: one[0])], int((~lost).sum()), int((twice & ~lost).sum())
 
 
-class Record:
+class Record(Sink):
     """A sink that keeps times of steps, and memory now and then."""
 
     name = "record"
@@ -61,12 +62,6 @@ class Record:
         self.steps += 1
         if self.steps % 10_000 == 0:
             self.memory[self.steps] = resident()
-
-    def kept(self):
-        return None
-
-    def close(self):
-        pass
 
 
 def robot_from_udp(folder, steps, rate, n):

@@ -185,3 +185,12 @@ def test_a_restarted_run_has_the_size_that_it_had(tmp_path):
     assert again.restore() and again.stream.filter.n == 32 and again.stream.t == 5
     again.go(lambda: False)
     assert again.stream.t == 9
+
+
+def test_what_had_come_and_was_not_taken_is_counted_where_it_cannot_be_read_again():
+    for repeats, left in ((True, 0), (False, 4)):
+        found = run(texts(20))
+        found.source.repeats = repeats
+        found.go(lambda found=found: found.counts.of["steps"] == 3)
+        assert found.counts.of["left"] == left
+    assert found.counts.told() == "messages: 3 taken; 4 had come and were not taken when it was told to end."

@@ -62,6 +62,7 @@ class Watch:
     Attributes:
         rate: steps a second at most; 0 for as fast as the filter can.
         budget: time that a step may take with its unit, such as 5ms, to be held against what it takes.
+        live: measurements as they come, as of motes run (`--live` and `--source udp://127.0.0.1:5005` are short for keys of it).
         port: at which the page listens; a free one if 0.
         host: address at which it listens; any but the loopback lets others on the network ask for it.
         browser: open the page in the browser.
@@ -73,6 +74,7 @@ class Watch:
 
     rate: float = 25.0
     budget: str = ""
+    live: Live = Live()
     port: int = 0
     host: str = "127.0.0.1"
     browser: bool = True
@@ -311,5 +313,6 @@ SHORT = {"--data": ("data", "--data.file"), "--live": ("live", "--live.on"), "--
 def _short(flags: Sequence[str], settings: type) -> list[str]:
     """Return flags with those that are short written out: `--data FILE` is `--data.file FILE` where the data are a table."""
     tables = {one.name for one in dataclasses.fields(settings) if dataclasses.is_dataclass(one.default)}
-    known = {short: flag for short, (table, flag) in SHORT.items() if table in tables}
+    own = _fields(settings) - tables
+    known = {short: flag for short, (table, flag) in SHORT.items() if table in tables and short[2:] not in own}
     return [known.get(flag, flag) + equals + value for flag, equals, value in (word.partition("=") for word in flags)]

@@ -4,7 +4,7 @@ Results go to the sinks, what happens to the log on the error stream; the run is
 """
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from motes.cli.options import check_seed, refuse, seconds, shown
 
 if TYPE_CHECKING:
     from motes.applications.interface import Job
+    from motes.filters.interface import Filter
     from motes.live.loop import Run
     from motes.live.message import Form
 
@@ -29,28 +30,48 @@ def run_live(wish: Asked) -> None:
         MotesError: the application cannot be run so, a filter does not fit, or a source or a sink cannot be opened.
     """
     check_seed(wish.settings.seed)
-    with logged() as log:
-        run, path = prepared(wish)
-        run.restore()
-        with interruption.saving(interrupts=True):
-            try:
-                run.go(interruption.is_asked)
-            finally:
-                log.info("%s", run.counts.told())
-            step = run.kept_at
-            if interruption.is_asked():
-                if step is not None:
-                    interruption.keeps(f"{path} (step {step})")
-                interruption.end()
-        if run.source.is_over:
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
-        elif step is not None:
-            log.info("kept in %s (step %d): the same command goes on from there.", path, step)
+    with logged():
+        if wish.settings.hosts or wish.settings.processes != 1:
+            refuse("live", "one process", "several")
+        job = wish.job()
+        name, filter = next(iter(processes.distributed(dict([one_filter(wish, job)]), wish.settings).items()))
+        carried_on(*prepared(wish, job, name, filter, wish.settings.live.sinks))
+
+
+def carried_on(run: "Run", path: Path, done: Callable[[], object] = lambda: None) -> None:
+    """Go on with a run from its checkpoint, until its source ends or it is asked to end.
+
+    Args:
+        run: see `prepared`.
+        path: the file that keeps it.
+        done: called once nothing is taken any more, before the process ends where that was asked for.
+
+    Raises:
+        MotesError: see `Run.restore` and `Run.go`.
+    """
+    from motes.live.counts import LOG
+
+    run.restore()
+    with interruption.saving(interrupts=True):
+        try:
+            run.go(interruption.is_asked)
+        finally:
+            LOG.info("%s", run.counts.told())
+        done()
+        step = run.kept_at
+        if interruption.is_asked():
+            if step is not None:
+                interruption.keeps(f"{path} (step {step})")
+            interruption.end()
+    if run.source.is_over:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+    elif step is not None:
+        LOG.info("kept in %s (step %d): the same command goes on from there.", path, step)
 
 
 @contextmanager
-def logged() -> Iterator[logging.Logger]:
+def logged() -> Iterator[None]:
     """Have what happens in a `with` block written on the error stream, a line each."""
     from motes.live.counts import LOG
 
@@ -60,15 +81,22 @@ def logged() -> Iterator[logging.Logger]:
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
     try:
-        yield LOG
+        yield
     finally:
         LOG.removeHandler(handler)
         LOG.setLevel(level)
         LOG.propagate = True
 
 
-def prepared(wish: Asked) -> "tuple[Run, Path]":
+def prepared(wish: Asked, job: "Job", name: str, filter: "Filter", sinks: Sequence[str]) -> "tuple[Run, Path]":
     """Return a run that is ready to go, and the file that keeps it.
+
+    Args:
+        wish: what is asked for.
+        job: that it asks for.
+        name: of the filter; see `one_filter`.
+        filter: as it was named.
+        sinks: addresses where results go.
 
     Raises:
         MotesError: see `run_live`.
@@ -82,11 +110,10 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
 
     asked = wish.settings.live
     _refuse_numbers(asked)
-    if wish.settings.hosts or wish.settings.processes != 1:
-        refuse("live", "one process", "several")
     budget = seconds(asked.budget) if asked.budget else None
-    job = wish.job()
-    name, filter = _one_filter(wish, job)
+    if "smoother" in wish.choices:
+        LOG.warning("smoother: left out; a live run tells of each step as it comes, motes run without --live smooths.")
+    filter = job.worn(filter)
     form = form_of(job, getattr(wish.settings, "data", None), asked)
     u = at_step(job.inputs, 0)
     if job.inputs is not None or not (form.inputs or form.timed):
@@ -100,12 +127,12 @@ def prepared(wish: Asked) -> "tuple[Run, Path]":
     else:
         source = Replay(wish.application.name, job.ys, job.inputs, job.times, asked.speed)
     try:
-        sinks = sinks_at(asked.sinks)
+        opened = sinks_at(sinks)
     except Exception:
         source.close()
         raise
     checkpoint = Checkpoint(path, _told_apart(wish, job, name), u)
-    return Run(Work(wish.settings.seed, filter, job.model, form), source, asked, sinks=sinks, checkpoint=checkpoint, budget=budget), path
+    return Run(Work(wish.settings.seed, filter, job.model, form), source, asked, sinks=opened, checkpoint=checkpoint, budget=budget), path
 
 
 def _refuse_numbers(asked: Any) -> None:
@@ -120,7 +147,12 @@ def _refuse_numbers(asked: Any) -> None:
             refuse(f"live {name}", "a number of at least 0", getattr(asked, name))
 
 
-def _one_filter(wish: Asked, job: "Job") -> "tuple[str, Any]":
+def one_filter(wish: Asked, job: "Job") -> "tuple[str, Filter]":
+    """Return the filter that is to run, by name.
+
+    Raises:
+        MotesError: there are several, or the job does not take its measurements one by one.
+    """
     from motes.applications.interface import Job
 
     if callable(job.ys) or not job.goes_on or type(job).pieces is not Job.pieces or type(job).piece is not Job.piece:
@@ -128,8 +160,7 @@ def _one_filter(wish: Asked, job: "Job") -> "tuple[str, Any]":
     filters = wish.filters(job, "filter", "filters")
     if len(filters) > 1:
         refuse("live filter", "one filter", ", ".join(filters), "Give --filter NAME, or a table [filter].")
-    name, filter = next(iter(processes.distributed(filters, wish.settings).items()))
-    return name, job.worn(filter)
+    return next(iter(filters.items()))
 
 
 def form_of(job: "Job", data: Any, asked: Any) -> "Form":

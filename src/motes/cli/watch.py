@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from motes.cli.options import check_seed, refuse, seconds
 if TYPE_CHECKING:
     from motes.applications.interface import Job
     from motes.filters.interface import Filter
+    from motes.report.scene import Scene
     from motes.watch.page import Page
 
 USAGE = "motes watch APPLICATION"
@@ -59,31 +61,65 @@ def watched(wish: Asked, written: Any = None) -> None:
     running.check_folder(settings.out)
     wish.chosen("filter", "filters")
     job = wish.job()
+    if settings.live.is_asked_for:
+        _watched_live(wish, job, budget)
+        return
     if job.ys is None:
         refuse("data", "a file of measurements", "none", "Give --data FILE, or return 'ys' from the function.")
     name, filter = next(iter(wish.filters(job, "filter", "filters").items()))
     if job.about():
         print(job.about())
-    page = _page(job, filter, wish, budget)
+    page = _page(job, job.scene(), filter, wish, budget)
     _worked_through(job, filter, settings, page)
-    folder = running.made_folder(settings.out)
-    report = page.report(f"{wish.application.name}: {name}")
-    running.write_text(folder / "report.html", report)
-    page.end("ended", report)
-    print(f"The report is in {folder / 'report.html'}.")
+    folder = _reported(wish, name, page)
     if written is not None:
         written(folder, job)
     _stay(settings.stay)
     page.close()
 
 
-def _page(job: "Job", filter: "Filter", wish: Asked, budget: float | None) -> "Page":
+def _watched_live(wish: Asked, job: "Job", budget: float | None) -> None:
+    """Show a filter on measurements as they come, until their source ends or it is asked to; standard output is the page's."""
+    from motes.cli import live
+
+    name, filter = live.one_filter(wish, job)
+    scene = job.scene()
+    if wish.settings.live.source:
+        # what is true of the application's own measurements is not true of these
+        scene = replace(scene, truth=None)
+
+    def done() -> None:
+        if page.stream is not None:
+            _reported(wish, name, page)
+
+    with live.logged():
+        run, path = live.prepared(wish, job, name, filter, [sink for sink in wish.settings.live.sinks if sink != "-"])
+        page = _page(job, scene, filter, wish, budget)
+        run.watchers.append(page)
+        live.carried_on(run, path, done)
+    _stay(wish.settings.stay)
+    page.close()
+
+
+def _reported(wish: Asked, name: str, page: "Page") -> Path:
+    """Write the report of what was shown, link it on the page, and return its folder."""
+    from motes.cli import running
+
+    folder = running.made_folder(wish.settings.out)
+    report = page.report(f"{wish.application.name}: {name}")
+    running.write_text(folder / "report.html", report)
+    page.end("ended", report)
+    print(f"The report is in {folder / 'report.html'}.")
+    return folder
+
+
+def _page(job: "Job", scene: "Scene", filter: "Filter", wish: Asked, budget: float | None) -> "Page":
     """Open the page, which waits for the first step, and tell where it is."""
     from motes.watch.page import in_browser, opened_page
     from motes.watch.recorder import Recorder
 
     settings = wish.settings
-    page = opened_page(Recorder(job.worn(filter), job.model, job.scene(), budget), settings.host, settings.port, wish.application.name)
+    page = opened_page(Recorder(job.worn(filter), job.model, scene, budget), settings.host, settings.port, wish.application.name)
     print(f"Watch it at {page.address}", flush=True)
     if settings.browser and not in_browser(page.address):
         print("motes watch: no browser was found here; open the link in one.", file=sys.stderr)
@@ -150,6 +186,8 @@ def shown_demo(name: str, words: Sequence[str], write: Any) -> None:
         write: writes the files into a folder, of path, wish and job.
     """
     wish = asked(Watch, [name, *words], f"motes demo {name} --watch")
+    if wish.settings.live.is_asked_for:
+        refuse("live", f"motes watch {name} --live", f"motes demo {name} --watch")
 
     def written(folder: Path, job: "Job") -> None:
         path = folder / f"{name}.toml"

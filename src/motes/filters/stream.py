@@ -62,7 +62,7 @@ class Stream:
         self._held: Packed | None = None
         self._like: Any = None
         self._pending: list[Inputs] = []
-        self._updated = False
+        self._updated, self._t = False, 0  # the law has its step, too, but there it would have to be waited for
         self.info: Info | None = None
 
     def update(self, y: Any) -> Info:
@@ -108,6 +108,7 @@ class Stream:
         self._fit(u, self._like)
         self._past.opened(held, u, None)
         self._pending, self._updated = [u], False
+        self._t += 1
 
     def back(self, steps: int) -> None:
         """Go back so many steps, at most `lag`, as if they had never been taken: they can be taken again, others before them.
@@ -118,6 +119,7 @@ class Stream:
         if steps:
             self._held = self._past.taken_back(steps)
             self.info, self._updated, self._pending = None, self._held is not None, []
+            self._t = max(self._t - steps, 0)
 
     def resize(self, filter: Filter) -> None:
         """Go on with the same filter of another number of particles, drawn from the present law; steps before cannot be gone back to.
@@ -254,7 +256,7 @@ class Stream:
     @property
     def t(self) -> int:
         """Index of the present step."""
-        return 0 if self._held is None else int(self._held.whole().step) + len(self._pending)
+        return self._t
 
     @property
     def state(self) -> Any:
@@ -334,7 +336,7 @@ class Stream:
         carry: Carry = archive.fill(path, like(tree["carry"]), tree["carry"])
         stream._like, stream._held = carry.y, handed_on(carry)
         stream._fit(carry.u, carry.y)
-        stream._updated = bool(texts.get("updated"))
+        stream._updated, stream._t = bool(texts.get("updated")), int(carry.step)
         return stream
 
 

@@ -188,7 +188,12 @@ def drawn(law: Law) -> jax.ShapeDtypeStruct:
     center = getattr(law, "center", None)
     if center is not None:
         return jax.ShapeDtypeStruct((center.shape[0], 1), center.dtype)
-    return jax.eval_shape(lambda law: law.sample(jax.random.key(0), 1), law)
+    return jax.eval_shape(_one_draw, law)
+
+
+def _one_draw(law: Law) -> jax.Array:
+    # a function of its own: JAX knows it again, and traces a law once, not each time that its type is asked for
+    return law.sample(jax.random.key(0), 1)
 
 
 def check_size(argument: str, law: Law, size: int) -> None:

@@ -18,6 +18,7 @@ WORDS = {
     "refused": "{} refused by the model",
     "collapsed": "{} that no particle explained",
     "overrun": "{} lost because they came faster than the filter takes them",
+    "left": "{} had come and were not taken when it was told to end",
     "missing": "{} numbers never came",
     "reconnected": "{} times connected again",
 }

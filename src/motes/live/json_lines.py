@@ -29,12 +29,14 @@ class JSONLines(Sink):
             os.lseek(self._file, 0, os.SEEK_END)
             raise OSError(f"the disk took {written} of {len(line)} bytes")
 
+    def secure(self) -> None:
+        """Force the lines to disk."""
+        if self._plain:
+            os.fsync(self._file)
+
     def kept(self) -> int | None:
-        """Force the lines to disk, and return how many bytes they are."""
-        if not self._plain:
-            return None
-        os.fsync(self._file)
-        return os.lseek(self._file, 0, os.SEEK_CUR)
+        """Return how many bytes the lines are."""
+        return os.lseek(self._file, 0, os.SEEK_CUR) if self._plain else None
 
     def go_on(self, kept: int | None, cut: bool) -> None:
         """Go on behind the lines that are there, or that were there at the checkpoint."""

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core.checks import CollapseError, MotesError, refuse
+from motes.core.packed import Packed
 from motes.filters.info import Info
 from motes.filters.interface import Filter
 from motes.filters.stream import Stream
@@ -53,12 +54,10 @@ Watcher = Callable[[Stream, Taken], object]
 
 
 @jax.jit
-def _moments(state: Any, info: Info) -> jax.Array:
-    """Return means, standard deviations, log evidence, effective size, alarm and collapse as one array."""
-    mean = state.mean()
-    spread = jnp.sqrt(jnp.maximum(jnp.diagonal(state.cov()), 0))
-    told = jnp.stack([jnp.asarray(one, mean.dtype) for one in (info.log_evidence, info.ess, info.alarm, info.collapsed)])
-    return jnp.concatenate([mean, spread, told])
+def _moments(held: Packed) -> jax.Array:
+    """Return means and standard deviations of a law, as one array, of what a step handed on."""
+    state = held.whole().state
+    return jnp.concatenate([state.mean(), jnp.sqrt(jnp.maximum(jnp.diagonal(state.cov()), 0))])
 
 
 class Work(NamedTuple):
@@ -227,11 +226,11 @@ class Run:
         if not taken[0]:
             return
         stream = self.stream
-        assert stream is not None and stream.info is not None
-        numbers = np.asarray(_moments(stream.state, stream.info), np.float64).tolist()
+        assert stream is not None and stream.held is not None and stream.info is not None
+        numbers = np.asarray(_moments(stream.held), np.float64).tolist()
         seconds = time.perf_counter() - began
         self.counts.add("steps")
-        record = self._record(stream, numbers, seconds, placed)
+        record = self._record(stream, stream.info, numbers, seconds, placed)
         for sink in self.sinks:
             sink.write(record)
         told = Taken(stream.info, placed.message.y, self.order.window[-1].message.time, seconds, placed.back > 0)
@@ -307,20 +306,18 @@ class Run:
             stream = self._begun(u, filter)
             for _ in range(2):
                 stream.update(message.y)
-                np.asarray(_moments(stream.state, stream.info))
+                np.asarray(_moments(stream.held))
                 stream.predict(u)
         except MotesError as reason:
             LOG.debug("a smaller size cannot be compiled ahead: %s", reason)
 
-    def _record(self, stream: Stream, numbers: list[float], seconds: float, placed: Placed) -> dict[str, Any]:
+    def _record(self, stream: Stream, info: Info, numbers: list[float], seconds: float, placed: Placed) -> dict[str, Any]:
         names = stream.model.names
-        size = len(names)
-        log_evidence, ess, alarm, collapsed = numbers[2 * size :]
         newest = self.order.window[-1].message
         return {
             "step": stream.t, "time": newest.time, **({} if newest.number is None else {"number": newest.number}),
             **{f"mean {name}": number for name, number in zip(names, numbers, strict=False)},
-            **{f"sd {name}": number for name, number in zip(names, numbers[size:], strict=False)},
-            "ess": ess, "log_evidence": log_evidence, "alarm": bool(alarm), "collapsed": bool(collapsed),
+            **{f"sd {name}": number for name, number in zip(names, numbers[len(names) :], strict=True)},
+            "ess": float(info.ess), "log_evidence": float(info.log_evidence), "alarm": bool(info.alarm), "collapsed": bool(info.collapsed),
             "late": placed.back, "seconds": round(seconds, 6),
         }  # fmt: skip

@@ -171,13 +171,13 @@ class Form:
         if self._structure is None:
             if self.timed and seconds is None:
                 raise Unreadable(f"no {self.time!r} in it")
-            return ({STEP: np.float32(seconds), **u} if self.timed else u) or None
+            return ({STEP: np.asarray(seconds, np.float32), **u} if self.timed else u) or None
         leaves = jax.tree.leaves(u, is_leaf=lambda leaf: leaf is None)
         if not any(leaf is None for leaf in leaves):
             return u
         if seconds is None:
             raise Unreadable(f"neither {STEP!r} nor {self.time!r} in it")
-        return jax.tree.unflatten(self._structure, [np.float32(seconds) if leaf is None else leaf for leaf in leaves])
+        return jax.tree.unflatten(self._structure, [np.asarray(seconds, np.float32) if leaf is None else leaf for leaf in leaves])
 
     def example(self) -> str:
         """Return what a message may look like."""

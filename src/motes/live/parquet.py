@@ -57,9 +57,12 @@ class Parquet(Sink):
                 self._parquet.write_table(self._arrow.Table.from_pylist(self._rows), file, write_page_checksum=True)
             self._written = len(self._rows)
 
-    def kept(self) -> int | None:
-        """Write what is left over, and return how many rows there are."""
+    def secure(self) -> None:
+        """Write what is left over."""
         self._flush()
+
+    def kept(self) -> int | None:
+        """Return how many rows there are."""
         return self._full * ROWS + len(self._rows)
 
     def go_on(self, kept: int | None, cut: bool) -> None:

@@ -30,8 +30,15 @@ class Sink(ABC):
             OSError: it cannot be written.
         """
 
+    def secure(self) -> None:  # noqa: B027 (some have nothing that could be lost)
+        """See to it that all that was written is safe.
+
+        Raises:
+            OSError: it cannot be.
+        """
+
     def kept(self) -> int | None:
-        """Return how far what was written is safe, after seeing to that all of it is; None where nothing is kept."""
+        """Return how far was written, safe or not; None where nothing is kept."""
         return None
 
     def go_on(self, kept: int | None, cut: bool) -> None:  # noqa: B027 (most keep nothing)
@@ -73,12 +80,13 @@ class Guarded:
             self._missing, self._fails = 0, False
 
     def kept(self) -> int | None:
-        """Return how far it is safe; None where it fails."""
+        """Return how far was written, after seeing to it that all of it is safe: where that fails, too, nothing is to come twice."""
+        kept = self.sink.kept()
         try:
-            kept = self.sink.kept()
+            self.sink.secure()
         except (OSError, MotesError) as reason:
             self._failed(reason)
-            return None
+            return kept
         if kept is not None and not self._missing:
             # nothing was lost: what fails next is told anew
             self._fails = False

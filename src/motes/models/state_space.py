@@ -24,6 +24,9 @@ from motes.laws.several_targets import SeveralTargets
 from motes.models.correlated import Drive, decorrelated
 from motes.models.interface import Model, Wrap, exchanged
 
+LARGEST = float(np.finfo(np.float32).max)
+"""Of the numbers that are finite in every type that is computed with."""
+
 
 @record
 class StateSpaceModel(Model):
@@ -242,6 +245,9 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
     """
     if inputs is None:
         return None
+    leaves, structure = jax.tree.flatten(inputs)
+    if all(map(_is_plain, leaves)):
+        return structure.unflatten(leaf if isinstance(leaf, (bool, int, float)) else np.asarray(leaf) for leaf in leaves)
 
     def one(path: Any, leaf: Any) -> Any:
         name = argument + jax.tree_util.keystr(path)
@@ -257,3 +263,12 @@ def numbers_of(argument: str, inputs: Inputs, rows: bool = False) -> Inputs:
         return array
 
     return jax.tree_util.tree_map_with_path(one, tabular.by_name(inputs))
+
+
+def _is_plain(leaf: Any) -> bool:
+    """Tell numbers of Python and NumPy that are right in every type: a stream asks at each step, and paths to leaves take long."""
+    if type(leaf) is np.ndarray or isinstance(leaf, np.generic):
+        if leaf.dtype.kind != "f":
+            return leaf.dtype.kind in "biu"
+        return bool((abs(leaf.item()) if leaf.size == 1 else np.abs(leaf).max(initial=0)) <= LARGEST)
+    return type(leaf) in (bool, int) or (type(leaf) is float and abs(leaf) <= LARGEST)

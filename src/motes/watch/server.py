@@ -10,6 +10,7 @@ import logging
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Awaitable, Callable
 from importlib.resources import files
 from typing import Any
@@ -29,6 +30,8 @@ QUICKEST, QUIET = 1 / 40, 0.1
 """Seconds between two looks at the slot, with a page and with none."""
 SHARE = 0.25
 """Share of a processor that looking may take."""
+LOOKS = 20
+"""Last looks, the quickest of which tells what one costs."""
 PER_PAGE = 1e-3
 """Seconds between looks that one more page adds."""
 BEAT = 1.0
@@ -91,21 +94,26 @@ class Server:
     async def _look(self) -> None:
         """Look at the slot now and then, so seldom that the filter does not feel it, and tell the pages."""
         swept = time.monotonic()
+        costs: deque[float] = deque(maxlen=LOOKS)
         while True:
-            began = time.perf_counter()
+            began, found = time.perf_counter(), True
             try:
-                if self.answers.recorder.turn():
+                found = self.answers.recorder.turn()
+                if found:
                     self._news.set()
                     self._news = asyncio.Event()
             except Exception:
                 # what cannot be drawn is not drawn: the filter goes on, and the page with it
                 LOG.exception("a moment could not be drawn")
             taken = time.perf_counter() - began
+            if found:
+                costs.append(taken)
             if time.monotonic() - swept > 1:
                 self._sweep()
                 swept = time.monotonic()
             least = QUICKEST + PER_PAGE * len(self._pages) if self._pages else QUIET
-            await asyncio.sleep(max(least - taken, taken / SHARE))
+            # where others compute, most of what a look takes is waiting for them: the least of a few is what it costs
+            await asyncio.sleep(max(least - taken, min(costs) / SHARE if found else 0.0))
 
     def _sweep(self) -> None:
         """Close connections that ask nothing: they are neither sockets that were accepted nor about to be answered."""
