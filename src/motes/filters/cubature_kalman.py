@@ -9,12 +9,12 @@ covariance that is not one.
 
 from motes.core.record import record
 from motes.filters.gaussian import OneGaussian
-from motes.filters.interface import Guide, TwoStageFilter
+from motes.filters.interface import Guide
 from motes.gaussian.sigma_points import Cubature
 
 
 @record
-class CubatureKalmanFilter(OneGaussian, TwoStageFilter):
+class CubatureKalmanFilter(OneGaussian):
     """Cubature Kalman filter; its state is a `Gaussian`.
 
     Source: Arasaratnam, Haykin 2009, Cubature Kalman filters.

@@ -23,7 +23,7 @@ from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel, as_state_space
 
 
-class OneGaussian(Gated):
+class OneGaussian(Gated, TwoStageFilter[Gaussian]):
     """Stages of the filters whose law is one Gaussian; each says by which rule it takes moments."""
 
     rule: Rule
@@ -68,7 +68,7 @@ class OneGaussian(Gated):
 
 
 @record
-class GaussianFilter(OneGaussian, TwoStageFilter):
+class GaussianFilter(OneGaussian):
     """Gaussian filter; its state is a `Gaussian`.
 
     Source: Ito, Xiong 2000, Gaussian filters for nonlinear filtering problems.

@@ -23,6 +23,7 @@ from motes.filters.pair import Form, pair
 from motes.filters.pieces import pieces
 from motes.filters.setup import carry_like, setup
 from motes.io import archive
+from motes.laws.law import LawT
 from motes.laws.observed import Observed
 from motes.models.canonical import one_of, shape_of
 from motes.models.interface import Model
@@ -36,13 +37,13 @@ from motes.tracing.identity import Beside
 
 def run(
     key: KeyLike,
-    filter: Filter,
+    filter: Filter[LawT],
     model: Model,
     ys: Measurements,
     inputs: Inputs = None,
     keep: Keep = keeping.moments,
     after: History | None = None,
-) -> History:
+) -> History[LawT]:
     """Run a filter over measurements.
 
     Pure: it can be jitted, vmapped (over keys, data and array fields of models) and differentiated. The second call with the same kinds of

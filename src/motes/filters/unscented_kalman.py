@@ -8,12 +8,12 @@ The steps are those of `OneGaussian` (gaussian.py) with the rule `Unscented` (ga
 
 from motes.core.record import record, static
 from motes.filters.gaussian import OneGaussian
-from motes.filters.interface import Guide, TwoStageFilter
+from motes.filters.interface import Guide
 from motes.gaussian.sigma_points import Unscented
 
 
 @record
-class UnscentedKalmanFilter(OneGaussian, TwoStageFilter):
+class UnscentedKalmanFilter(OneGaussian):
     """Unscented Kalman filter; its state is a `Gaussian`.
 
     Sigma points lie alpha sqrt(x + kappa) standard deviations from the mean. The defaults never give a negative variance.
