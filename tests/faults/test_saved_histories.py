@@ -124,6 +124,14 @@ def test_another_filter_cannot_go_on():
         mo.run(0, mo.KalmanFilter(), MODEL, YS[4:], after="h.npz")
 
 
+@QUIET
+def test_another_number_of_particles_cannot_go_on(tmp_path):
+    first = mo.run(0, mo.ParticleFilter(40), MODEL, YS[:4])
+    for before in (first, mo.History.load(first.save(tmp_path / "h.npz"))):
+        with pytest.raises(mo.MotesError, match=r"the history of a run with 50 particles, as the filter has, got 40\. Go on with"):
+            mo.run(0, mo.ParticleFilter(50), MODEL, YS[4:], after=before)
+
+
 WRONG = {
     "another number of states": lambda texts: texts["names"].append("c"),
     "another law": lambda texts: texts["forms"]["state"].update(law="Cloud"),

@@ -122,6 +122,10 @@ def _run_through(
 def _end_of(after: History, filter: Filter, model: Any, u: Inputs, y: Any) -> Carry:
     """Return what to continue from; inputs and laws that a file gave without their classes get them."""
     checks.instance("run after", after, History, "what mo.run gave, or History.load")
+    before, now = after.particles if after.made_by is None else after.made_by.filter.particle_count, filter.particle_count
+    if before and now and before != now:
+        checks.refuse("run after", f"the history of a run with {now} particles, as the filter has", before,
+                      f"Go on with filter.with_particles({before}).")  # fmt: skip
     end, wanted = after.last, jax.tree.structure(u)
     if jax.tree.structure(end.u) != wanted and isinstance(end.u, dict) and not jax.tree_util.treedef_is_leaf(wanted):
         end = replace(end, u=archive.fill(Path("run after: inputs"), u, end.u))
