@@ -9,12 +9,13 @@ The steps are those of `OneGaussian` (gaussian.py) with the rule `Taylor` (gauss
 
 from motes.core.record import record, static
 from motes.filters.gaussian import OneGaussian
-from motes.filters.interface import Guide
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.gaussian.taylor import Taylor
+from motes.laws.gaussian import Gaussian
 
 
 @record
-class ExtendedKalmanFilter(OneGaussian):
+class ExtendedKalmanFilter(OneGaussian, TwoStageFilter[Gaussian]):
     """Extended Kalman filter; its state is a `Gaussian`.
 
     Source: Jazwinski 1970, Stochastic Processes and Filtering Theory.

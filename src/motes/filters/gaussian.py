@@ -23,7 +23,7 @@ from motes.laws.gaussian import Gaussian
 from motes.models.state_space import StateSpaceModel, as_state_space
 
 
-class OneGaussian(Gated, TwoStageFilter[Gaussian]):
+class OneGaussian(Gated):
     """Stages of the filters whose law is one Gaussian; each says by which rule it takes moments."""
 
     rule: Rule
@@ -68,7 +68,7 @@ class OneGaussian(Gated, TwoStageFilter[Gaussian]):
 
 
 @record
-class GaussianFilter(OneGaussian):
+class GaussianFilter(OneGaussian, TwoStageFilter[Gaussian]):
     """Gaussian filter; its state is a `Gaussian`.
 
     Source: Ito, Xiong 2000, Gaussian filters for nonlinear filtering problems.

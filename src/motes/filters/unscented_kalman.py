@@ -8,12 +8,13 @@ The steps are those of `OneGaussian` (gaussian.py) with the rule `Unscented` (ga
 
 from motes.core.record import record, static
 from motes.filters.gaussian import OneGaussian
-from motes.filters.interface import Guide
+from motes.filters.interface import Guide, TwoStageFilter
 from motes.gaussian.sigma_points import Unscented
+from motes.laws.gaussian import Gaussian
 
 
 @record
-class UnscentedKalmanFilter(OneGaussian):
+class UnscentedKalmanFilter(OneGaussian, TwoStageFilter[Gaussian]):
     """Unscented Kalman filter; its state is a `Gaussian`.
 
     Sigma points lie alpha sqrt(x + kappa) standard deviations from the mean. The defaults never give a negative variance.
