@@ -21,7 +21,6 @@ from motes.cli.options import read_toml
 from motes.cli.records import build, choice_of
 from motes.cli.toml import helps, written
 from motes.filters.interface import Filter
-from tiers import each
 
 WALK = {
     "__init__": '"""A walker, seen badly."""\n',
@@ -124,10 +123,10 @@ SHORT = {"terrain": ("--route.fixes", "41", "--n", "300"), "robot": ("--seconds"
          "laser": ("--seconds", "60", "--n", "300"), "slam": ("--seconds", "60", "--n", "5"),
          "mode_s": ("--seconds", "0.004", "--aircraft", "2"),
          "target_tracking": ("--scans", "20", "--n", "100"), "video": ("--frames", "24")}  # fmt: skip
-SHOWN_BY_NIGHT = {"aircraft", "laser", "mode_s", "slam", "target_tracking", "video"}
 
 
-@pytest.mark.parametrize("name", each(sorted(set(applications()) - {"terrain"}), SHOWN_BY_NIGHT))
+@pytest.mark.night
+@pytest.mark.parametrize("name", sorted(set(applications()) - {"terrain"}))
 def test_each_is_shown_without_data_and_runs_again_from_its_files(name, tmp_path, monkeypatch, capsys):
     """That of the terrain: tests/cli."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

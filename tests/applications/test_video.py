@@ -312,6 +312,7 @@ def same_bits(*histories):
     return all(np.array_equal(one, other, equal_nan=True) for one, other in zip(*leaves, strict=True))
 
 
+@pytest.mark.night
 def test_a_killed_run_goes_on_with_the_same_bits(tmp_path, monkeypatch):
     monkeypatch.setattr(long_runs, "EVERY", 0.0)
     job = load(Settings(frames=36), 1)

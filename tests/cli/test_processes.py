@@ -170,7 +170,9 @@ def test_twenty_kills_at_random_moments(folder):
 
 @pytest.mark.parametrize(("more", "words"), [
     (("--processes", "0"), "processes: expected a whole number from 1 to 512, got 0"),
+    (("--hosts", "--processes", "2"), "processes: expected none beside --hosts, where a launcher has started them, got 2"),
     (("--hosts",), "join: expected a process started by srun, mpirun or torchrun"),
+    (("--elements", "0"), "Distributed elements: expected a whole number of at least 1, got 0"),
     (("--elements", "5"), "Distributed elements: expected a divisor of the filter's n=64, got 5"),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_line(folder, more, words, capsys, monkeypatch):

@@ -25,8 +25,10 @@ KINDS = first_of_kinds(FILTERS)
 FEW = first_of_kinds(FILTERS, lambda filter: filter.look_ahead)
 """One filter that looks ahead, and one that does not."""
 OWN = {name for name in CLASSES if not shares_stages(name)}
-BY_DAY = {"answers": OWN, "form": set(FILTERS), "value": set(FILTERS), "likelihood": KINDS,
-          **dict.fromkeys(("missing", "weights", "fewest"), KINDS),
+SMALL = KINDS - {"Distributed", "PaRIS"}
+"""Of these without those that compile longest."""
+BY_DAY = {"answers": OWN, "form": CLASSES, "value": set(FILTERS), "likelihood": SMALL,
+          **dict.fromkeys(("missing", "weights", "fewest"), SMALL),
           "stream": KINDS | {"ParticleFilter"}, **dict.fromkeys(("checkpoint", "cut"), FEW | {"ParticleFilter", "PointMassFilter"}),
           **dict.fromkeys(("unmeasured", "vmapped", "inflation", "smallest", "eager", "derivative"), FEW)}  # fmt: skip
 """Filters that are asked a rule by day, all others being asked by night; of rules not named here, those of `CLASSES`."""

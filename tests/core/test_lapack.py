@@ -9,6 +9,7 @@ import pytest
 
 from motes.core import lapack
 from sources import SOURCE
+from tiers import each
 
 RNG = np.random.default_rng(5)
 NEEDS_CARE = pytest.mark.skipif(not lapack.stops(), reason="from JAX 0.12 on many matrices at a time stop nothing")
@@ -34,7 +35,10 @@ def _three_by_jax(a):
     return jnp.linalg.slogdet(a)[1] + jnp.sum(jnp.sin(values)) + jnp.sum(vectors[:, 0] ** 4) + jnp.sum(jnp.linalg.inv(a) ** 2)
 
 
-@pytest.mark.parametrize("way", [jax.grad, jax.jacfwd, lambda f: jax.jacfwd(jax.grad(f))], ids=["grad", "jacfwd", "hessian"])
+WAYS = {"grad": jax.grad, "jacfwd": jax.jacfwd, "hessian": lambda f: jax.jacfwd(jax.grad(f))}
+
+
+@pytest.mark.parametrize("way", each(WAYS, {"jacfwd", "hessian"}))
 def test_derivatives_are_those_of_jax_mapped_and_not(way, double):
     A = jnp.asarray(RNG.normal(size=(4, 3, 3)) + 2 * np.eye(3))
     np.testing.assert_allclose(way(_three)(A[0]), way(_three_by_jax)(A[0]), rtol=1e-6, atol=1e-8)

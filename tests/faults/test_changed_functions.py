@@ -192,7 +192,7 @@ def test_what_has_changed_is_told_apart(name):
 RUN = ("global", "jitted helper", "body of a loop", "module", "method", "callable without hash", "computed name")
 
 
-@pytest.mark.parametrize("name", RUN)
+@pytest.mark.parametrize("name", each(RUN, {"body of a loop", "jitted helper", "callable without hash", "computed name"}))
 def test_a_rebuilt_model_runs_the_new_numbers(name):
     f, change = CASES[name]
     for gain in (0.5, 0.25, 0.5):
@@ -206,7 +206,7 @@ def test_a_rebuilt_model_runs_the_new_numbers(name):
         assert np.allclose(mo.simulate(0, built(f), 2)[0][1], gain, atol=0.05)
 
 
-@pytest.mark.parametrize("name", RUN)
+@pytest.mark.parametrize("name", each(RUN, {"body of a loop", "jitted helper", "callable without hash", "computed name"}))
 def test_a_model_that_stays_runs_the_new_numbers(name):
     """What is remembered of a filter and a model does not outlive what its functions read."""
     f, change = CASES[name]

@@ -17,7 +17,7 @@ from motes.native import blocks, compile, report
 from tiers import each
 
 sys.path.append(str(Path(__file__).parents[1] / "contract"))
-from discovery import examples, is_variant
+from discovery import examples, shares_stages
 
 from motes.testing.models import linear
 
@@ -59,7 +59,7 @@ def told_as_it_is(engine, texts, notes):
 
 
 @needs_compiler
-@pytest.mark.parametrize("filter", each(FILTERS, is_variant))
+@pytest.mark.parametrize("filter", each(FILTERS, shares_stages))
 def test_every_filter_tells_what_jax_does_for_it(filter, untold):
     model = linear()
     notes = stages(filter, model)

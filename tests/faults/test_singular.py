@@ -167,7 +167,7 @@ def breach(paths):
     return np.abs(free).max()
 
 
-@pytest.mark.parametrize("name", SMOOTHERS)
+@pytest.mark.parametrize("name", each(list(SMOOTHERS), {"rejected", "stepped"}))
 def test_paths_obey_the_law_of_motion(name, double):
     """A genealogy of some hundred particles at the first step: means within a quarter of a standard deviation of the exact ones."""
     model, (smoother, filter) = driven(A, 0.09), SMOOTHERS[name]

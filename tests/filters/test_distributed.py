@@ -110,6 +110,7 @@ def test_moments_are_those_of_the_whole_cloud():
     np.testing.assert_allclose(history.cov[-1], plain.cov(), rtol=1e-3)
 
 
+@pytest.mark.night
 def test_angles_are_gathered_over_all_elements():
     step, sensor = (mo.AdditiveGaussian(f, 0.1 * jnp.eye(1), (0,)) for f in (lambda x, u, t: x + 0.1, lambda x, u, t: x))
     turning = mo.StateSpaceModel(mo.Gaussian(jnp.array([3.1]), jnp.eye(1)), step, sensor)
@@ -119,6 +120,7 @@ def test_angles_are_gathered_over_all_elements():
     assert np.abs((apart + np.pi) % (2 * np.pi) - np.pi).max() < 0.3
 
 
+@pytest.mark.night
 def test_particles_carry_their_gaussians_along():
     radar = mo.textbook.radar_tracking()
     ys = mo.simulate(0, radar, 4)[1]

@@ -94,6 +94,7 @@ def test_time_stamps_bring_scans_to_one_line_and_say_who_was_silent():
     assert line.ys["west"].value.shape == (4, 2, 2)
 
 
+@pytest.mark.night
 def test_particles_take_both_radars_too():
     xs, scans = scanned(5)
     ys = {name: mo.plots(own[:20]) for name, own in scans.items()}

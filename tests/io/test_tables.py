@@ -5,6 +5,8 @@ import pytest
 
 from data import recorded, refused
 from motes.core.checks import FileError, MotesError
+from motes.io.arrays import read_arrays
+from motes.io.dialect import Dialect
 from motes.io.tables import column_names, read_table, times
 
 arrow = pytest.importorskip("pyarrow")
@@ -270,3 +272,15 @@ def test_mutated_tables_are_read_or_refused(form, tmp_path):
         path.write_bytes(data.tobytes()[: len(data) if draw.random() < 0.8 else int(draw.integers(len(data)))])
         with contextlib.suppress(FileError):
             assert not any(np.isinf(column).any() for column in read_table(path).values())
+
+
+def test_dates_have_no_unit(tmp_path):
+    """Of every kind of file: their numbers are none of a unit that was told."""
+    when = np.array(["2020-01-01", "2020-01-02"], "datetime64[s]")
+    np.savez(tmp_path / "table.npz", when=when)
+    (tmp_path / "table.csv").write_text("when\n2020-01-01\n2020-01-02\n")
+    (tmp_path / "table.json").write_text('[{"when": "2020-01-01"}, {"when": "2020-01-02"}]')
+    own = Dialect(units={"when": "ms"})
+    for path in (packed(tmp_path, {"when": when}), tmp_path / "table.csv", tmp_path / "table.json", tmp_path / "table.npz"):
+        with pytest.raises(FileError, match="expected numbers in column 'when', for which a unit is given, got dates"):
+            (read_arrays if path.suffix == ".npz" else read_table)(path, ["when"], dialect=own)

@@ -165,3 +165,21 @@ def test_batches_of_runs():
             for j in range(3):
                 single = weighted_moments(weights[j], points[i])
                 assert np.array_equal(nested[0][i, j], single[0]) and np.array_equal(nested[1][i, j], single[1])
+
+
+@pytest.mark.night
+def test_derivatives_of_a_batch_of_runs():
+    """The batch axes of a kernel's results and of the JAX operation that gives its derivatives differ by themselves."""
+
+    def score(scale, key):
+        sensor = mo.AdditiveGaussian(lambda x, u, t: scale * x**2, [[0.3]])
+        model = mo.StateSpaceModel(mo.Gaussian([0.0], [[1.0]]), mo.LinearGaussian([[0.9]], [[0.1]]), sensor)
+        return mo.run(key, mo.ParticleFilter(n=300, policy=mo.resampling.Never()), model, np.ones((1, 1))).log_likelihood
+
+    def together(scale):
+        return jax.vmap(score, (None, 0))(scale, jax.random.split(jax.random.key(3), 3)).mean()
+
+    with engine.using("jax"):
+        wanted = jax.grad(together)(0.7)
+    with engine.using("native"):
+        assert np.isclose(jax.grad(together)(0.7), wanted, rtol=1e-3) and abs(wanted) > 0.01

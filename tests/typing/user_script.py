@@ -47,3 +47,7 @@ width_of_picture = float(figure.get_figwidth())
 exact.save("run.npz")
 again = mo.History.load("run.npz")
 print(again, mo.diagnose(again).trusted, exact.to_xarray().sizes, spread, likelihood, mean.shape, width.shape)
+particles: jax.Array = cloud.state.particles
+weights: jax.Array = stream.state.log_weights
+covariance: jax.Array = exact.law.cov()
+print(particles.shape, weights.shape, covariance.shape)

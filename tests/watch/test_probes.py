@@ -128,6 +128,20 @@ def test_sockets_and_messages_are_bounded(page):
     assert get(*entered(page)[:1], "/")[0] == 401
 
 
+def test_sixty_four_sockets_stay_and_one_more_closes_the_oldest(page):
+    port, cookie = entered(page)
+    with ExitStack() as opened:
+        there = [opened.enter_context(connected(port, cookie)) for _ in range(64)]
+        for one in there:
+            one.send(question())
+            assert answer(one.recv(timeout=20), 7 + 9)[2] is not None
+        opened.enter_context(connected(port, cookie))
+        with pytest.raises(ConnectionClosed):
+            there[0].recv(timeout=20)
+        there[1].send(question())
+        assert there[1].recv(timeout=20)
+
+
 @pytest.mark.night
 def test_a_thousand_sockets_take_no_memory(page):
     many(page, 200, 100)

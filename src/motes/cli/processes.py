@@ -54,6 +54,8 @@ def started(command: str, words: Sequence[str], settings: Any) -> bool:
     count = settings.processes
     if not 1 <= count <= MOST:
         refuse("processes", f"a whole number from 1 to {MOST}", count)
+    if settings.hosts and count != 1 and LAUNCHER not in os.environ:
+        refuse("processes", "none beside --hosts, where a launcher has started them", count, "Leave out one of the two.")
     if count == 1 or settings.hosts:
         return False
     from motes.cli.running import check_folder
@@ -73,8 +75,8 @@ def distributed(filters: "dict[str, Filter]", settings: Any) -> "dict[str, Filte
     """
     from motes.filters.distributed import Distributed
 
-    count = settings.elements or (ELEMENTS if settings.hosts else 0)
-    return {name: Distributed(one, count) if count and not isinstance(one, Distributed) else one for name, one in filters.items()}
+    count = ELEMENTS if settings.elements is None and settings.hosts else settings.elements
+    return {name: one if count is None or isinstance(one, Distributed) else Distributed(one, count) for name, one in filters.items()}
 
 
 def _worked_off(command: str, words: Sequence[str], count: int, out: str) -> int:

@@ -28,7 +28,7 @@ from motes.resampling.schemes import Scheme, Systematic
 
 
 @record
-class AuxiliaryParticleFilter(LookAheadFilter):
+class AuxiliaryParticleFilter(LookAheadFilter[Cloud]):
     """Auxiliary particle filter; its state is a `Cloud`.
 
     With `OptimalProposal` it is fully adapted: where particles were resampled all weights are equal, and the evidence given the cloud is

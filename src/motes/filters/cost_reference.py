@@ -29,7 +29,7 @@ SETTLING = 10
 
 
 @record
-class CostReferenceParticleFilter(LookAheadFilter):
+class CostReferenceParticleFilter(LookAheadFilter[CostCloud]):
     """Cost-reference particle filter; its state is a `CostCloud`. It has no likelihood.
 
     Of the model it uses the mean functions, and `initial` to draw the first particles: no densities. Components of y are summed as they

@@ -11,10 +11,11 @@ from motes.core.record import record
 from motes.filters.gaussian import OneGaussian
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.gaussian.sigma_points import Cubature
+from motes.laws.gaussian import Gaussian
 
 
 @record
-class CubatureKalmanFilter(OneGaussian, TwoStageFilter):
+class CubatureKalmanFilter(OneGaussian, TwoStageFilter[Gaussian]):
     """Cubature Kalman filter; its state is a `Gaussian`.
 
     Source: Arasaratnam, Haykin 2009, Cubature Kalman filters.

@@ -25,7 +25,7 @@ from motes.models.state_space import StateSpaceModel
 
 
 @record
-class EnsembleKalmanFilter(Gated, TwoStageFilter):
+class EnsembleKalmanFilter(Gated, TwoStageFilter[Cloud]):
     """Ensemble Kalman filter; its state is a `Cloud` of members of equal weight.
 
     Source: Evensen 1994, Sequential data assimilation with a nonlinear quasi-geostrophic model using Monte Carlo methods to forecast

@@ -11,10 +11,11 @@ from motes.core.record import record, static
 from motes.filters.gaussian import OneGaussian
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.gaussian.taylor import Taylor
+from motes.laws.gaussian import Gaussian
 
 
 @record
-class ExtendedKalmanFilter(OneGaussian, TwoStageFilter):
+class ExtendedKalmanFilter(OneGaussian, TwoStageFilter[Gaussian]):
     """Extended Kalman filter; its state is a `Gaussian`.
 
     Source: Jazwinski 1970, Stochastic Processes and Filtering Theory.

@@ -10,10 +10,11 @@ from motes.core.record import record, static
 from motes.filters.gaussian import OneGaussian
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.gaussian.sigma_points import GaussHermite
+from motes.laws.gaussian import Gaussian
 
 
 @record
-class GaussHermiteFilter(OneGaussian, TwoStageFilter):
+class GaussHermiteFilter(OneGaussian, TwoStageFilter[Gaussian]):
     """Gauss-Hermite filter; its state is a `Gaussian`.
 
     Source: Ito, Xiong 2000, Gaussian filters for nonlinear filtering problems.

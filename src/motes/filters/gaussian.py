@@ -68,7 +68,7 @@ class OneGaussian(Gated):
 
 
 @record
-class GaussianFilter(OneGaussian, TwoStageFilter):
+class GaussianFilter(OneGaussian, TwoStageFilter[Gaussian]):
     """Gaussian filter; its state is a `Gaussian`.
 
     Source: Ito, Xiong 2000, Gaussian filters for nonlinear filtering problems.

@@ -26,7 +26,7 @@ from motes.models.state_space import StateSpaceModel
 
 
 @record
-class GaussianParticleFilter(Gated, LookAheadFilter, TwoStageFilter):
+class GaussianParticleFilter(Gated, LookAheadFilter[Gaussian], TwoStageFilter[Gaussian]):
     """Gaussian particle filter; its state is a `Gaussian`. It converges to the true posterior only where that is Gaussian.
 
     Source: Kotecha, Djuric 2003, Gaussian particle filtering.

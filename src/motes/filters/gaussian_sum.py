@@ -34,7 +34,7 @@ NOISE_OF = {"II": "dynamics", "III": "sensor"}
 
 
 @record
-class GaussianSumParticleFilter(Gated, TwoStageFilter):
+class GaussianSumParticleFilter(Gated, TwoStageFilter[Mixture]):
     """Gaussian-sum particle filter; its state is a `Mixture`, and `info.ess` counts mixands.
 
     Source: Kotecha, Djuric 2003, Gaussian sum particle filtering.

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from motes.filters.info import Info
 from motes.filters.keep import after_lag
 from motes.io import archive
 from motes.io.labels import Labels, in_words, labels_joined
+from motes.laws.law import LawT
 from motes.laws.spelled import UnspelledError, spelled
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ _KEPT_BY = {"law": "laws", "mode_probabilities": "modes", "delayed_mode_probabil
 
 
 @record
-class Carry:
+class Carry(Generic[LawT]):
     """What a run hands from one step to the next.
 
     Attributes:
@@ -39,7 +40,7 @@ class Carry:
         step: index of the last step.
     """
 
-    state: Any
+    state: LawT
     evidence: RunningSum
     suspicion: jax.Array
     y: Any
@@ -72,8 +73,8 @@ class MadeBy:
 
 
 @record
-class History:
-    """What a run gives.
+class History(Generic[LawT]):
+    """What a run gives: of a filter of a kind of law.
 
     Attributes:
         kept: what the keep function returned, each with the time axis first.
@@ -98,7 +99,7 @@ class History:
 
     kept: dict[str, Any]
     info: Info
-    last: Carry
+    last: Carry[LawT]
     start: jax.Array
     names: tuple[str, ...] = static()
     label: str = static()
@@ -185,12 +186,12 @@ class History:
         return after_lag(kept, lag)
 
     @property
-    def law(self) -> Any:
+    def law(self) -> LawT:
         """Filtered laws with the time axis first (with `keep.laws`)."""
         return self._kept("law")
 
     @property
-    def state(self) -> Any:
+    def state(self) -> LawT:
         """The last law."""
         return self.last.state
 
@@ -246,7 +247,7 @@ class History:
             "or set on_collapse='predict' or 'inflate'."
         )
 
-    def labelled(self, labels: Labels | None) -> "History":
+    def labelled(self, labels: Labels | None) -> "History[LawT]":
         """Return the history with times of its steps and names of the measured columns, where there are any."""
         # inside of compiled code Unix seconds would be rounded to 32 bits
         seconds = labels.seconds() if labels is not None and checks.is_concrete(self.info) else self.times

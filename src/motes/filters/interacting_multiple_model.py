@@ -32,7 +32,7 @@ from motes.models.jump_markov import JumpMarkovModel
 
 
 @record
-class InteractingMultipleModel(Gated, TwoStageFilter):
+class InteractingMultipleModel(Gated, TwoStageFilter[ModeMixture]):
     """Interacting multiple models; the state is a `ModeMixture` of one Gaussian for each mode, and `info.ess` counts modes.
 
     Source: Blom, Bar-Shalom 1988, The interacting multiple model algorithm for systems with Markovian switching coefficients.

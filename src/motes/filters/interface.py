@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Generic, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from motes.core import checks, markdown, random
 from motes.core.record import described, record, replace, static, values
 from motes.filters import alarm
 from motes.filters.info import Info
+from motes.laws.law import LawT
 from motes.laws.observed import is_nothing
 from motes.models.interface import circular
 from motes.models.state_space import as_state_space
@@ -38,8 +39,8 @@ class Guide(NamedTuple):
 
 
 @record
-class Filter(ABC):
-    """A filter. Subclasses are records; methods are pure and work under jit, vmap and grad.
+class Filter(ABC, Generic[LawT]):
+    """A filter of a kind of law. Subclasses are records; methods are pure and work under jit, vmap and grad.
 
     Attributes:
         on_collapse: what to do when all weights vanish. "raise": `run` raises outside jit and leaves a flag in the info inside.
@@ -167,7 +168,7 @@ class Filter(ABC):
         """Refuse what the numbers of the user's model do not allow, as far as they are known; asked before anything is compiled."""
 
     @abstractmethod
-    def init(self, key: jax.Array, model: Any) -> Any:
+    def init(self, key: jax.Array, model: Any) -> LawT:
         """Return the law before the first measurement."""
 
     @abstractmethod
@@ -199,7 +200,7 @@ class Filter(ABC):
 
 
 @record
-class TwoStageFilter(Filter):
+class TwoStageFilter(Filter[LawT]):
     """A filter that predicts first and then corrects; most are. Subclasses write `init`, `predict` and `correct`."""
 
     @abstractmethod

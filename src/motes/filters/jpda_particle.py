@@ -38,7 +38,7 @@ from motes.tracing.affinity import dependence
 
 
 @record
-class JPDAParticleFilter(TwoStageFilter):
+class JPDAParticleFilter(TwoStageFilter[TargetClouds]):
     """Particle filter with a cloud for each target of a `SeveralTargets` sensor; its state is a `TargetClouds`.
 
     With any other sensor there is one target, which has all states. `info.ess` is that of the target whose cloud is the most uneven.

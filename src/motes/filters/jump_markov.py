@@ -41,7 +41,7 @@ FEW_PARTICLES = 128
 
 
 @record
-class JumpMarkovFilter(Gated, TwoStageFilter):
+class JumpMarkovFilter(Gated, TwoStageFilter[ModeMixture]):
     """Rao-Blackwellized jump-Markov filter; the state is a `ModeMixture` of n m hypotheses, which `info.ess` counts.
 
     Source: Doucet, Gordon, Krishnamurthy 2001, Particle filters for state estimation of jump Markov linear systems; Fearnhead, Clifford

@@ -10,10 +10,11 @@ from motes.core.record import record
 from motes.filters.gaussian import OneGaussian
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.gaussian.taylor import Linear
+from motes.laws.gaussian import Gaussian
 
 
 @record
-class KalmanFilter(OneGaussian, TwoStageFilter):
+class KalmanFilter(OneGaussian, TwoStageFilter[Gaussian]):
     """Kalman filter; its state is a `Gaussian`. Functions that are linear need not be written as matrices: tracing finds out.
 
     Source: Kalman 1960, A new approach to linear filtering and prediction problems.

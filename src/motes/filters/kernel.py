@@ -67,7 +67,7 @@ class LocalModel:
 
 
 @record
-class KalmanParticleKernelFilter(Gated, TwoStageFilter):
+class KalmanParticleKernelFilter(Gated, TwoStageFilter[Mixture]):
     """Kalman-particle kernel filter; its state is a `Mixture` of n Gaussians with a covariance each.
 
     Source: Dahia, Musso, Pham, Guibert 2004, Application of the Kalman-particle kernel filter to the updated inertial navigation

@@ -70,7 +70,7 @@ class Sighted(NamedTuple):
 
 
 @record
-class LandmarkFilter(LookAheadFilter, TwoStageFilter):
+class LandmarkFilter(LookAheadFilter[MapCloud], TwoStageFilter[MapCloud]):
     """FastSLAM: a particle filter whose particles carry maps; its state is a `MapCloud`, for a `MapModel`.
 
     A step costs as much as its sightings, whatever the number of landmarks, but for resampling, which copies maps. Where nobody says which

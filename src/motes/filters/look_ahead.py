@@ -19,6 +19,7 @@ from motes.filters.info import Info, weigh
 from motes.filters.interface import Filter
 from motes.filters.proposals import Proposal
 from motes.laws.cloud import Cloud
+from motes.laws.law import LawT
 from motes.laws.observed import is_nothing
 from motes.models.state_space import StateSpaceModel
 from motes.native import cloudwise
@@ -39,7 +40,7 @@ class Ahead(NamedTuple):
 
 
 @record
-class LookAheadFilter(Filter):
+class LookAheadFilter(Filter[LawT]):
     """A filter that moves knowing the next measurement. Subclasses write `init`, `update` and `ahead`.
 
     One that does so by its parameters makes `look_ahead` a property, and derives from `TwoStageFilter` too, whose step is taken elsewhere.

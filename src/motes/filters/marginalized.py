@@ -37,7 +37,7 @@ from motes.resampling.schemes import Scheme, Systematic
 
 
 @record
-class MarginalizedParticleFilter(Gated, TwoStageFilter):
+class MarginalizedParticleFilter(Gated, TwoStageFilter[MarginalCloud]):
     """Marginalized particle filter; its state is a `MarginalCloud`. `mo.filters.RaoBlackwellizedParticleFilter` is the same.
 
     Source: Karlsson, Schon, Gustafsson 2005, Complexity analysis of the marginalized particle filter; Schon, Gustafsson, Nordlund 2005,

@@ -26,7 +26,7 @@ from motes.resampling.schemes import Scheme, Systematic
 
 
 @record
-class ParticleFilter(LookAheadFilter, TwoStageFilter):
+class ParticleFilter(LookAheadFilter[Cloud], TwoStageFilter[Cloud]):
     """Particle filter; its state is a `Cloud`.
 
     Source: Gordon, Salmond, Smith 1993, Novel approach to nonlinear/non-Gaussian Bayesian state estimation; Arulampalam, Maskell,

@@ -30,7 +30,7 @@ from motes.models.state_space import StateSpaceModel, as_state_space
 
 
 @record
-class PointMassFilter(TwoStageFilter):
+class PointMassFilter(TwoStageFilter[GridCloud]):
     """Point-mass filter; its state is a `GridCloud`, whose particles are the nodes of a fixed grid.
 
     The cost of a step grows with the square of the number of nodes. The grid must cover the state and be finer than the noise: the share of

@@ -31,7 +31,7 @@ from motes.resampling.schemes import Scheme, Systematic
 
 
 @record
-class RegularizedParticleFilter(LookAheadFilter, TwoStageFilter):
+class RegularizedParticleFilter(LookAheadFilter[Cloud], TwoStageFilter[Cloud]):
     """Regularized particle filter; its state is a `Cloud`.
 
     Source: Musso, Oudjane, LeGland 2001, Improving regularised particle filters.

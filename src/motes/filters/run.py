@@ -23,6 +23,7 @@ from motes.filters.pair import Form, pair
 from motes.filters.pieces import pieces
 from motes.filters.setup import carry_like, setup
 from motes.io import archive
+from motes.laws.law import LawT
 from motes.laws.observed import Observed
 from motes.models.canonical import one_of, shape_of
 from motes.models.interface import Model
@@ -36,13 +37,13 @@ from motes.tracing.identity import Beside
 
 def run(
     key: KeyLike,
-    filter: Filter,
+    filter: Filter[LawT],
     model: Model,
     ys: Measurements,
     inputs: Inputs = None,
     keep: Keep = keeping.moments,
     after: History | None = None,
-) -> History:
+) -> History[LawT]:
     """Run a filter over measurements.
 
     Pure: it can be jitted, vmapped (over keys, data and array fields of models) and differentiated. The second call with the same kinds of
@@ -121,6 +122,10 @@ def _run_through(
 def _end_of(after: History, filter: Filter, model: Any, u: Inputs, y: Any) -> Carry:
     """Return what to continue from; inputs and laws that a file gave without their classes get them."""
     checks.instance("run after", after, History, "what mo.run gave, or History.load")
+    before, now = after.particles if after.made_by is None else after.made_by.filter.particle_count, filter.particle_count
+    if before and now and before != now:
+        checks.refuse("run after", f"the history of a run with {now} particles, as the filter has", before,
+                      f"Go on with filter.with_particles({before}).")  # fmt: skip
     end, wanted = after.last, jax.tree.structure(u)
     if jax.tree.structure(end.u) != wanted and isinstance(end.u, dict) and not jax.tree_util.treedef_is_leaf(wanted):
         end = replace(end, u=archive.fill(Path("run after: inputs"), u, end.u))

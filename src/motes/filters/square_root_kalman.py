@@ -23,7 +23,7 @@ from motes.models.state_space import StateSpaceModel
 
 
 @record
-class SquareRootKalmanFilter(Gated, TwoStageFilter):
+class SquareRootKalmanFilter(Gated, TwoStageFilter[FactoredGaussian]):
     """Square-root Kalman filter; its state is a `FactoredGaussian`.
 
     Source: Potter 1963, New statistical formulas; Kailath, Sayed, Hassibi 2000, Linear Estimation.

@@ -3,7 +3,7 @@
 from collections import deque
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ from motes.filters.resized import resized
 from motes.filters.setup import carry_like
 from motes.filters.stream_steps import advance, handed_on, move, start, take_in
 from motes.io import archive
+from motes.laws.law import LawT
 from motes.laws.observed import Observed, nothing_like, value_of
 from motes.models.canonical import shape_of
 from motes.models.interface import Model
@@ -36,14 +37,14 @@ def _moment(state: Any, what: str) -> jax.Array:
     return getattr(state, what)()
 
 
-class Stream:
+class Stream(Generic[LawT]):
     """A filter at work: `update(y)`, `predict(u)`, `update(y)`, ... A `predict` without an `update` is a step without measurement.
 
     `predict` only remembers the step: the following `update` does it whole, in one program. Where the law is asked for in between, it is
     moved first; that of a filter with look-ahead (a particle filter with a proposal) moves only when the measurement comes.
     """
 
-    def __init__(self, key: KeyLike, filter: Filter, model: Any, inputs: Inputs = None, lag: int = 0):
+    def __init__(self, key: KeyLike, filter: Filter[LawT], model: Any, inputs: Inputs = None, lag: int = 0):
         """Stand before the first measurement.
 
         Args:
@@ -259,7 +260,7 @@ class Stream:
         return self._t
 
     @property
-    def state(self) -> Any:
+    def state(self) -> LawT:
         """The present law."""
         if self._held is None:
             checks.refuse("stream", "a first measurement", "none yet", "Call update(y).")
@@ -302,7 +303,7 @@ class Stream:
         return archive.write_tree(Path(path), data, texts, kind="checkpoint")
 
     @classmethod
-    def load(cls, path: str | Path, filter: Filter, model: Any, inputs: Inputs = None, lag: int = 0) -> "Stream":
+    def load(cls, path: str | Path, filter: Filter[LawT], model: Any, inputs: Inputs = None, lag: int = 0) -> "Stream[LawT]":
         """Read a checkpoint back, for the same filter and model.
 
         Args:
@@ -344,6 +345,6 @@ def _in_short(form: Any) -> str:
     return ", ".join(f"{leaf.dtype}{list(leaf.shape)}" for leaf in jax.tree.leaves(value_of(form)))
 
 
-def stream(key: KeyLike, filter: Filter, model: Model, inputs: Inputs = None, lag: int = 0) -> Stream:
+def stream(key: KeyLike, filter: Filter[LawT], model: Model, inputs: Inputs = None, lag: int = 0) -> Stream[LawT]:
     """Start on-line filtering; see `Stream`."""
     return Stream(key, filter, model, inputs, lag)

@@ -10,10 +10,11 @@ from motes.core.record import record, static
 from motes.filters.gaussian import OneGaussian
 from motes.filters.interface import Guide, TwoStageFilter
 from motes.gaussian.sigma_points import Unscented
+from motes.laws.gaussian import Gaussian
 
 
 @record
-class UnscentedKalmanFilter(OneGaussian, TwoStageFilter):
+class UnscentedKalmanFilter(OneGaussian, TwoStageFilter[Gaussian]):
     """Unscented Kalman filter; its state is a `Gaussian`.
 
     Sigma points lie alpha sqrt(x + kappa) standard deviations from the mean. The defaults never give a negative variance.

@@ -109,7 +109,7 @@ class Around:
 
 
 @record
-class Wrapper(Around, Filter):
+class Wrapper(Around, Filter[Carried]):
     """A filter around another, whose law carries something beside it. Subclasses write `begun` and `after`, and perhaps `inputs_with`.
 
     Attributes:

@@ -83,5 +83,7 @@ def _numeric(path: str | os.PathLike[str], arrays: dict[str, np.ndarray], cells:
     if not found:
         reject(label(path), "at least one array of numbers", f"{', '.join(arrays)[:160] or 'none'}")
     check_names_of_units(path, list(found), cells.dialect)
+    for name in (name for name, array in found.items() if array.dtype.kind == "M"):
+        cells.refuse_unit(name)
     return {name: cells.plain(name, array.astype(np.float64)) if name in cells.dialect.units else
             cells.plain(name, array) if array.dtype.kind == "f" else array for name, array in found.items()}  # fmt: skip

@@ -164,7 +164,7 @@ class Cells:
             if math.isinf(values[index]):
                 reject(self.path, f"a finite number in {self.word} {self.lines[index]}, column {name!r}", repr(cell[:60]))
         if isinstance(convert, Reader):
-            self._no_unit(name)
+            self.refuse_unit(name)
             return values, convert.clock()
         return self.plain(name, values), None
 
@@ -185,6 +185,15 @@ class Cells:
         unit = UNITS[known(self.dialect.units.get(name, "s")) or "s"]
         return Clock(unit=unit.factor if unit.kind == "time" else 1.0)
 
+    def refuse_unit(self, name: str) -> None:
+        """Refuse a unit of a column of dates.
+
+        Raises:
+            FileError: one is told.
+        """
+        if name in self.dialect.units:
+            reject(self.path, f"numbers in column {name!r}, for which a unit is given", "dates")
+
     def _kind(self, name: str, cell: str) -> tuple[Callable[[str], float], str]:
         """Return what reads the cells of a column, by its first, and what they are."""
         is_time = self.expected.get(name) == "s" and "%" in self.dialect.time_format
@@ -198,10 +207,6 @@ class Cells:
 
     def _number(self, cell: str) -> float:
         return number_of(cell, self.dialect.decimal)
-
-    def _no_unit(self, name: str) -> None:
-        if name in self.dialect.units:
-            reject(self.path, f"numbers in column {name!r}, for which a unit is given", "dates")
 
     def _advice(self, cell: str, cells: Sequence[str]) -> str:
         """Return what to do about a cell that is neither a number nor a time."""

@@ -254,5 +254,6 @@ def _arrow_numbers(source: Cells, name: str, column: Any) -> tuple[np.ndarray, C
         row = int(np.argmax(np.isinf(values))) + 1
         reject(source.path, f"a finite number in row {row}, column {name!r}", str(values[row - 1]))
     if arrow.types.is_timestamp(kind):
+        source.refuse_unit(name)
         return values, Clock("%Y-%m-%dT%H:%M:%S", suffix="Z")
     return source.plain(name, values), None

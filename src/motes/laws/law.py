@@ -1,7 +1,7 @@
 """What every law answers, and what a foreign distribution is turned into."""
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,16 @@ from motes.core import linalg, logspace
 from motes.core.checks import refuse
 from motes.core.record import record, static
 from motes.laws.clusters import Clusters, clusters, one_cluster
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar
+
+    LawT = TypeVar("LawT", default=Any)
+else:
+    from typing import TypeVar
+
+    # type checkers take any law where none is named
+    LawT = TypeVar("LawT")
 
 
 class Law(ABC):

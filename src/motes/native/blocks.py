@@ -77,7 +77,8 @@ def _call(symbol: str, dtype: Any, results: Any, *operands: jax.Array) -> Any:
 def differentiable(native: Callable[..., Any], pure: Callable[..., Any]) -> Callable[..., Any]:
     """Return the native function with the derivatives of the pure one; neither may close over arrays."""
     function = jax.custom_jvp(native)
-    function.defjvp(lambda primals, tangents: jax.jvp(pure, primals, tangents))
+    # values of the kernel: JAX takes the batch axes of its results to be those of the rule's
+    function.defjvp(lambda primals, tangents: (function(*primals), jax.jvp(pure, primals, tangents)[1]))
     return function
 
 

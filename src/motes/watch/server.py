@@ -208,7 +208,7 @@ class Server:
 
         await page.accept()
         self._pages[page] = None
-        for oldest in list(self._pages)[: len(self._pages) - PAGES]:
+        for oldest in list(self._pages)[: max(0, len(self._pages) - PAGES)]:
             self._pages.pop(oldest, None)
             asyncio.ensure_future(_closed(oldest))
         try:
