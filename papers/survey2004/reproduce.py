@@ -4,8 +4,8 @@ Every filter on the growth model, filters told the wrong noise, and two real rec
 
     python papers/survey2004/reproduce.py [growth noise aircraft river] [--runs 1000] [--data FOLDER]
 
-Tables and the picture of `growth` go to out/survey2004. All of it takes some eight minutes on two cores. `aircraft` needs a recording: FOLDER holds
-aircraft/adsb/belevingsvlucht.csv.
+Tables, and the picture of `growth`, go to out/survey2004. All of it takes some eight minutes on two cores. `aircraft` needs a recording:
+FOLDER holds aircraft/adsb/belevingsvlucht.csv.
 """
 
 import argparse
