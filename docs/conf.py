@@ -25,6 +25,8 @@ nb_execution_mode = "cache"
 nb_execution_cache_path = str(ROOT / "out" / "notebooks")
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
+nb_merge_streams = True
+nb_output_stderr = "remove"  # progress, and warnings with the path of a temporary file; the text tells of those
 
 default_role = "code"
 highlight_language = "text"

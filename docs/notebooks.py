@@ -23,7 +23,7 @@ def notebook(folder):
     """Return the notebook of an example: its page, its program up to `main`, that called, and the pictures that it wrote."""
     before, _, _ = (folder / "run.py").read_text().partition('\n\nif __name__ == "__main__":')
     functions, _, main = before.partition("\n\ndef main(")
-    call = 'import sys\nsys.argv = ["run.py"]  # words of the command line\nmain()'
+    call = 'import sys\n__file__ = "run.py"\nsys.argv = [__file__]  # words of the command line\nmain()'
     cells = [new_markdown_cell((folder / "README.md").read_text()), new_code_cell(functions.strip()), new_code_cell(f"def main({main}")]
     return new_notebook(cells=[*cells, new_code_cell(call), new_code_cell(SHOW)], metadata=KERNEL)
 

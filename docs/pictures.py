@@ -1,4 +1,4 @@
-"""Draws the pictures of the README, of the gallery and of each method, under docs/: python docs/pictures.py [NAME ...]."""
+"""Draws the pictures of the README, of the gallery, of each method and of the papers: python docs/pictures.py [NAME ...]."""
 
 import io
 import re
@@ -142,6 +142,24 @@ def demo(name):
         shrink(Path(out) / DEMOS[name], HERE / "gallery" / f"{name}.png", 900)
 
 
+PAPERS = {
+    "dahia2004": ("nine", ["9_states_position_noise_0.5"]),
+    "karlsson2004": ("figure1 tracks", ["figure1", "tracks"]),
+    "survey2004": ("growth", ["growth"]),
+}
+"""Which parts of a paper are reproduced for its page, and their pictures that it shows."""
+
+
+def paper(name):
+    """Reproduce parts of a paper, which takes minutes, and take the pictures."""
+    folder = HERE.parent / "papers" / name
+    parts, shown = PAPERS[name]
+    with tempfile.TemporaryDirectory() as out:
+        subprocess.run([sys.executable, folder / "reproduce.py", *parts.split(), "--out", out], check=True, stdout=subprocess.DEVNULL)
+        for one in shown:
+            shrink(Path(out) / f"{one}.png", folder / f"{one}.png", 850)
+
+
 if __name__ == "__main__":
     wanted = sys.argv[1:]
     if not wanted or "cloud" in wanted:
@@ -149,6 +167,9 @@ if __name__ == "__main__":
     for name in DEMOS:
         if not wanted or name in wanted:
             demo(name)
+    for name in PAPERS:
+        if not wanted or name in wanted:
+            paper(name)
     for name, cls in methods().items():
         if not wanted or name in wanted:
             save(picture(name, cls), HERE / "methods" / f"{name}.png")

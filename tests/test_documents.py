@@ -11,7 +11,7 @@ import motes as mo
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")),
-             *sorted((ROOT / "examples").rglob("*.md"))]  # fmt: skip
+             *sorted((ROOT / "examples").rglob("*.md")), *sorted((ROOT / "papers").rglob("*.md"))]  # fmt: skip
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

@@ -15,7 +15,7 @@ from exact import exact
 from model import log_prior, problem, spans
 
 import motes as mo
-from motes.plotting.figures import new_figure
+from motes.plotting.figures import new_figure, tidy
 
 
 def main():
@@ -41,11 +41,13 @@ def main():
     rates = np.asarray(jax.vmap(jax.vmap(lambda c: c.x[spans(c.model)]))(chains.positions)).reshape(-1, len(counts))
     figure = new_figure(8, 4)
     axes = figure.add_subplot()
+    tidy(axes)
     low, middle, high = np.quantile(rates, [0.05, 0.5, 0.95], axis=0)
     axes.bar(1851 + np.arange(112), counts, color="0.85", label="disasters")
     axes.fill_between(1851 + np.arange(112), low, high, alpha=0.3, step="mid", label="rate, 90 percent")
     axes.step(1851 + np.arange(112), middle, where="mid", label="median rate per year")
-    axes.legend()
+    axes.set(xlabel="year", ylabel="disasters a year")
+    axes.legend(frameon=False)
     Path("out").mkdir(exist_ok=True)
     figure.savefig("out/coal.png")
     print("picture: out/coal.png")

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import motes as mo
-from motes.plotting.figures import new_figure
+from motes.plotting.figures import new_figure, tidy
 
 MOST = 10
 LAW = mo.Gaussian(jnp.array([0.0, 20.0, 0.0]), jnp.diag(jnp.array([1.5, 100.0, 0.5])))
@@ -81,9 +81,11 @@ def main():
     every = jax.vmap(lambda c: density_at(c.x, c.model, grid))(some)
     figure = new_figure(8, 4)
     axes = figure.add_subplot()
-    axes.hist(data, bins=50, density=True, color="0.85")
-    axes.plot(grid, np.exp(np.asarray(every)).mean(axis=0))
-    axes.set_xlabel("velocity, 1000 km/s")
+    tidy(axes)
+    axes.hist(data, bins=50, density=True, color="0.85", label="galaxies")
+    axes.plot(grid, np.exp(np.asarray(every)).mean(axis=0), label="density, mean of the draws")
+    axes.set(xlabel="velocity, 1000 km/s", ylabel="share per 1000 km/s")
+    axes.legend(frameon=False)
     Path("out").mkdir(exist_ok=True)
     figure.savefig("out/galaxies.png")
     print("picture: out/galaxies.png")

@@ -3,19 +3,27 @@
     python examples/nile/run.py [--draws 3000]
 
 Yearly flow at Aswan, 1871 to 1970, in 1e8 m^3 (`mo.data.nile`). Levels between changes have the law N(1000, 200^2), the
-log of the noise's standard deviation in 100 units N(0, 1); changes come at any new year, their number is Poisson(1) cut at 6. It takes
-about a minute.
+log of the noise's standard deviation in 100 units N(0, 1); changes come at any new year, their number is Poisson(1) cut at 6. The picture
+goes to out/nile.png. It takes about a minute.
 """
 
 import argparse
 from math import lgamma
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 import motes as mo
+from motes.plotting.figures import ESTIMATE, TRUE, legend_below, new_figure, tidy
 
 MOST = 6
+
+
+def level(changes):
+    """Return the level of each year."""
+    return changes.x[jnp.append(0, jnp.cumsum(changes.model))]
 
 
 def problem(flow):
@@ -27,7 +35,7 @@ def problem(flow):
     def log_density(p):
         c, log_sd = p["changes"], p["log sd"]
         changes = jnp.sum(c.model)
-        off = y - c.x[jnp.append(0, jnp.cumsum(c.model))]
+        off = y - level(c)
         levels = jnp.where(jnp.arange(MOST + 1) <= changes, -((c.x - 1000) ** 2) / (2 * 200.0**2) - jnp.log(200 * jnp.sqrt(2 * jnp.pi)), 0)
         sd = 100 * jnp.exp(log_sd)
         fits = jnp.sum(-0.5 * (off / sd) ** 2) - len(flow) * log_sd
@@ -42,12 +50,27 @@ def problem(flow):
     return log_density, kernel, start
 
 
+def picture(years, flow, levels):
+    """Draw the flow with the levels `(draw, year)`: their median and 90 percent band."""
+    figure = new_figure(8, 4)
+    axes = figure.add_subplot()
+    tidy(axes)
+    low, middle, high = np.quantile(levels, [0.05, 0.5, 0.95], axis=0)
+    axes.plot(years, flow, ".", color=TRUE, label="flow of a year")
+    axes.fill_between(years, low, high, color=ESTIMATE, alpha=0.25, linewidth=0, step="mid", label="level, 90 percent")
+    axes.step(years, middle, where="mid", color=ESTIMATE, label="median level")
+    axes.set(xlabel="year", ylabel="flow, 1e8 m$^3$ a year")
+    legend_below(figure, axes, 3)
+    return figure
+
+
 def main():
     """Draw the posterior of changes and levels."""
     parser = argparse.ArgumentParser(description="Changes of the flow of the Nile.")
     parser.add_argument("--draws", type=int, default=3000, help="draws of each of eight chains (3000)")
     given = parser.parse_args()
-    flow = mo.data.nile().values[:, 0]
+    data = mo.data.nile()
+    flow = data.values[:, 0]
     log_density, kernel, start = problem(flow)
     chains = mo.sample(0, mo.mcmc.Repeat(kernel, 10), log_density, start, draws=given.draws, chains=8)
     model = np.asarray(chains.positions["changes"].model)
@@ -62,6 +85,10 @@ def main():
           f"{100 * np.exp(np.asarray(chains.positions['log sd'])[one]).mean():.0f}")  # fmt: skip
     for name, rate in chains.acceptance.items():
         print(f"{name}: {rate:.1%} accepted")
+    drawn = np.asarray(jax.vmap(jax.vmap(level))(chains.positions["changes"])).reshape(-1, len(flow))
+    Path("out").mkdir(exist_ok=True)
+    picture(data.times, flow, drawn).savefig("out/nile.png")
+    print("picture: out/nile.png")
 
 
 if __name__ == "__main__":

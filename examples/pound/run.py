@@ -8,7 +8,8 @@ in percent.
     h_t = mu + phi (h_{t-1} - mu) + sigma eta_t,  y_t = exp(h_t / 2) eps_t
 
 Parameters mu, atanh phi, log sigma with independent normal priors. The likelihood is taken by a grid (exact to its spacing), by a particle
-filter in PMMH, and not at all in particle Gibbs, which draws the volatilities too. The three agree. It takes some ten minutes.
+filter in PMMH, and not at all in particle Gibbs, which draws the volatilities too. The three agree. The picture of the volatilities goes to
+out/pound.png. It takes some ten minutes.
 
 Given the volatilities h, sigma can hardly move; given (h - mu) / sigma, mu can hardly move. So particle Gibbs moves the parameters in both
 coordinates in turn.
@@ -16,11 +17,13 @@ coordinates in turn.
 
 import argparse
 import time
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 
 import motes as mo
+from motes.plotting.figures import ESTIMATE, legend_below, new_figure, over_time, tidy
 
 NAMES = ("mu", "atanh phi", "log sigma")
 PRIOR = mo.Gaussian(jnp.array([0.0, 2.0, -2.0]), jnp.diag(jnp.array([1.0, 0.25, 0.5])))
@@ -73,6 +76,21 @@ def ways(ys, particles, nodes):
     }
 
 
+def picture(days, ys, paths):
+    """Draw the sizes of returns with the volatility: median and 90 percent band over paths of the log variance `(draw, day)`."""
+    figure = new_figure(8, 4)
+    axes = figure.add_subplot()
+    tidy(axes)
+    low, middle, high = np.quantile(np.exp(paths / 2), [0.05, 0.5, 0.95], axis=0)
+    axes.vlines(days, 0, np.abs(ys), color="0.75", linewidth=0.8, label="size of the return")
+    axes.fill_between(days, low, high, color=ESTIMATE, alpha=0.3, linewidth=0, label="volatility, 90 percent")
+    axes.plot(days, middle, color=ESTIMATE, label="median volatility")
+    axes.set(ylabel="percent a day", ylim=(0, None))
+    over_time(figure, days)
+    legend_below(figure, axes, 3)
+    return figure
+
+
 def main():
     """Draw the posterior in three ways."""
     parser = argparse.ArgumentParser(description="Stochastic volatility of the pound.")
@@ -99,6 +117,11 @@ def main():
             mo.mcmc.standard_error(found[name][..., k]), mo.mcmc.standard_error(found["grid"][..., k])) for k in range(3)]  # fmt: skip
         print(f"{name} less grid, in standard errors: {', '.join(f'{value:.1f}' for value in away)}")
     print(f"phi: {np.tanh(found['grid'][..., 1]).mean():.3f}, sigma: {np.exp(found['grid'][..., 2]).mean():.3f}")
+    # the last way is particle Gibbs; a tenth of its paths is enough for a picture
+    paths = np.asarray(chains.positions["path"])[:, ::10, :, 0].reshape(-1, len(ys))
+    Path("out").mkdir(exist_ok=True)
+    picture(mo.data.pound().times[1 : len(ys) + 1], ys[:, 0], paths).savefig("out/pound.png")
+    print("picture: out/pound.png")
 
 
 if __name__ == "__main__":

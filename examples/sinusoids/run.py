@@ -4,26 +4,34 @@
 
 64 samples of three sinusoids, two of them closer than the resolution 2 pi / 64, at a signal-to-noise ratio of some 3 dB each. Amplitudes
 have a g-prior with g = 64 and are integrated out, as is the variance of the noise; frequencies are uniform on (0, pi), their number is
-uniform on 0 to 6. It takes less than a minute.
+uniform on 0 to 6. The picture goes to out/sinusoids.png. It takes less than a minute.
 """
 
 import argparse
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 
 import motes as mo
+from motes.plotting.figures import DASHED, ESTIMATE, TRUE, legend_below, new_figure, tidy
 
 MOST, SAMPLES, G = 6, 64, 64.0
-TRUE = ((0.63, 1.4, 0.3), (0.72, 1.4, 1.2), (1.9, 1.0, 0.0))
+WAVES = ((0.63, 1.4, 0.3), (0.72, 1.4, 1.2), (1.9, 1.0, 0.0))
 """Frequency, amplitude and phase of each."""
 
 
 def signal(seed=4):
     """Draw the noisy samples."""
     times = np.arange(SAMPLES)
-    clean = sum(a * np.cos(w * times + phase) for w, a, phase in TRUE)
+    clean = sum(a * np.cos(w * times + phase) for w, a, phase in WAVES)
     return clean + 0.7 * np.random.default_rng(seed).normal(size=SAMPLES)
+
+
+def periodogram(y):
+    """Return frequencies between 0 and pi and the power of samples there."""
+    power = np.abs(np.fft.rfft(np.asarray(y), 512))[1:-1] ** 2
+    return np.pi * (1 + np.arange(power.size)) / (power.size + 1), power
 
 
 def problem(y):
@@ -46,14 +54,31 @@ def problem(y):
         return jnp.where(inside, -c.model * jnp.log(1 + G) - len(y) / 2 * jnp.log(rest) - c.model * jnp.log(jnp.pi), -jnp.inf)
 
     # births where the periodogram is high, and anywhere
-    power = np.abs(np.fft.rfft(np.asarray(y), 512))[1:-1] ** 2
-    peaks = np.pi * (1 + np.arange(power.size)) / (power.size + 1)
+    peaks, power = periodogram(y)
     top = np.argsort(power)[::-1][:40]
     births = mo.Mixture.of(jnp.asarray(np.append(power[top] / power[top].sum(), 0.5)), jnp.asarray(np.append(peaks[top], np.pi / 2))[None],
                            jnp.asarray(np.append(np.full(40, 0.02**2), 1.5**2))[None, None])  # fmt: skip
     jumps = mo.mcmc.birth_death(births, MOST)
     walk = mo.mcmc.Mix([mo.mcmc.RandomWalkMetropolis(0.004), mo.mcmc.RandomWalkMetropolis(0.03)])
     return log_density, mo.mcmc.ReversibleJump(jumps, lambda k: k, within=walk), mo.mcmc.Configuration(jnp.int32(0), jnp.zeros(MOST))
+
+
+def picture(y, counts, frequencies):
+    """Draw the periodogram, and how many sinusoids the draws expect in each 0.02 rad: counts `(draw,)`, frequencies `(draw, MOST)`."""
+    figure = new_figure(8, 4.5)
+    above, below = (figure.add_subplot(2, 1, place) for place in (1, 2))
+    above.plot(*periodogram(y), color=TRUE, linewidth=1, label="periodogram")
+    above.set(ylabel="power", ylim=(0, None))
+    drawn = frequencies[np.arange(MOST) < counts[:, None]]
+    below.hist(drawn, bins=np.arange(0, np.pi + 0.02, 0.02), weights=np.full(drawn.size, 1 / counts.size), color=ESTIMATE, label="draws")
+    below.set(xlabel="frequency, rad a sample", ylabel="expected number")
+    for axes in (above, below):
+        tidy(axes)
+        axes.set_xlim(0, np.pi)
+        for place, (w, _, _) in enumerate(WAVES):
+            axes.axvline(w, **DASHED, label=None if place or axes is above else "true")
+    legend_below(figure, below, 2)
+    return figure
 
 
 def main():
@@ -69,9 +94,12 @@ def main():
     found = np.sort(np.asarray(chains.positions.x)[counts == likely][:, :likely], axis=1)
     told = (f"{mean:.3f} +- {sd:.3f}" for mean, sd in zip(found.mean(axis=0), found.std(axis=0), strict=True))
     print(f"frequencies given {likely}: {', '.join(told)}")
-    print("true: " + ", ".join(f"{w:.3f}" for w, _, _ in TRUE))
+    print("true: " + ", ".join(f"{w:.3f}" for w, _, _ in WAVES))
     for name, rate in chains.acceptance.items():
         print(f"{name}: {rate:.1%} accepted")
+    Path("out").mkdir(exist_ok=True)
+    picture(signal(), counts.ravel(), np.asarray(chains.positions.x).reshape(-1, MOST)).savefig("out/sinusoids.png")
+    print("picture: out/sinusoids.png")
 
 
 if __name__ == "__main__":

@@ -4,8 +4,8 @@ Every filter on the growth model, filters told the wrong noise, and two real rec
 
     python papers/survey2004/reproduce.py [growth noise aircraft river] [--runs 1000] [--data FOLDER]
 
-Tables go to out/survey2004. All of it takes some eight minutes on two cores. `aircraft` needs a recording: FOLDER holds
-aircraft/adsb/belevingsvlucht.csv.
+Tables, and the picture of `growth`, go to out/survey2004. All of it takes some eight minutes on two cores. `aircraft` needs a recording:
+FOLDER holds aircraft/adsb/belevingsvlucht.csv.
 """
 
 import argparse
@@ -16,6 +16,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import jax.numpy as jnp
 import numpy as np
+from pictures import growth_figure
 from recordings import aircraft, river
 
 import motes as mo
@@ -161,6 +162,8 @@ def main() -> None:
         print(f"\n{part}\n{found}", flush=True)
         found.save(given.out / f"{part}.csv")
         found.save(given.out / f"{part}.md")
+        if part == "growth":
+            growth_figure(found, NUMBERS).savefig(given.out / "growth.png")
 
 
 if __name__ == "__main__":

@@ -74,7 +74,7 @@ def test_sinusoids_are_counted():
     counts = np.asarray(chains.positions.model)
     assert np.bincount(counts.ravel()).argmax() == 3
     found = np.sort(np.asarray(chains.positions.x)[counts == 3][:, :3], axis=1).mean(axis=0)
-    np.testing.assert_allclose(found, [w for w, _, _ in sinusoids["TRUE"]], atol=0.03)
+    np.testing.assert_allclose(found, [w for w, _, _ in sinusoids["WAVES"]], atol=0.03)
     # the evidence of one sinusoid by brute force over its frequency, beside the share of one to none
     assert np.isfinite(float(log_density(mo.mcmc.Configuration(jnp.int32(1), jnp.zeros(6).at[0].set(1.0)))))
 

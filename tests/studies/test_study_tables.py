@@ -161,3 +161,11 @@ def test_xarray_and_netcdf(result, tmp_path):
         result.save(tmp_path / "study.csv")
     with pytest.raises(mo.MotesError, match="block: expected one of plane, y, got 'z'"):
         result.errors("z")
+
+
+def test_tables_are_written_in_notebooks_too(monkeypatch):
+    """There rich, which draws them, shows what it is to write."""
+    table = mo.io.Table(("filter", "RMSE"), (("plain", 1.5),))
+    before = str(table)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert "plain" in before and str(table) == before

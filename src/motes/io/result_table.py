@@ -39,7 +39,8 @@ class Table:
         """Draw the table with characters."""
         from rich.console import Console
 
-        console = Console(file=io.StringIO(), width=200)
+        # in a notebook rich would show the table instead of writing it
+        console = Console(file=io.StringIO(), width=200, force_jupyter=False, color_system=None)
         console.print(self)
         return console.file.getvalue().rstrip()  # type: ignore[attr-defined]
 
