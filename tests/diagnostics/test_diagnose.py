@@ -37,7 +37,7 @@ def test_nothing_is_found_in_a_healthy_run(filter):
 
 def test_many_runs_are_judged_one_by_one():
     many = jax.vmap(lambda key: mo.run(key, mo.KalmanFilter(), model(), YS[:4]))(jax.random.split(jax.random.key(0), 3))
-    with pytest.raises(mo.MotesError, match=r"diagnose history: expected one run, got 3 runs. Judge one by one: the first is (.*)\.$") as told:
+    with pytest.raises(mo.MotesError, match="diagnose history: expected one run, got 3 runs. Judge one by one: the first is ") as told:
         mo.diagnose(many)
     first = str(told.value).partition("the first is ")[2].removesuffix(".")
     assert first == "jax.tree.map(lambda leaf: leaf[0], history)" and mo.diagnose(jax.tree.map(lambda leaf: leaf[0], many)) is not None
