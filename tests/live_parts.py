@@ -41,7 +41,7 @@ class Given(TextSource):
         super().__init__("given", form)
         self.lines, self.at, self.together = lines, 0, together
 
-    def texts(self, timeout):
+    def receive(self, timeout):
         if self.at >= len(self.lines):
             return None
         begin, self.at = self.at, min(len(self.lines), self.at + self.together)

@@ -108,7 +108,7 @@ WRONG = [
     (OWN.replace('zone = "Europe/Berlin"', 'zone = "Berlin"'), ("time_zone", "'Europe/Berlin'")),
     (OWN.replace('format = "day first", ', ""), ("line 3", "'Zeit'", 'Set time_format = "day first"')),
     (OWN.replace('decimal = ","', ""), ("line 3", "'Nord'", 'decimal = ","')),
-    (OWN.replace("-9999, ", ""), ("column 'Radarhöhe'", "meters between -500", "missing = [-3047")),
+    (OWN.replace("-9999, ", ""), ("column 'Radarhöhe'", "meters between -500", "missing = [-9999]")),
     (OWN.replace('"n.a."', '"lost"'), ("line 10", "'n.a.'", 'missing = ["n.a."]')),
     (OWN.replace("decimal", "dezimal"), ("'dezimal'", "Perhaps 'decimal' is meant.")),
     (OWN.replace("column =", "colum =", 1), ("inertial", "'colum'", "Perhaps 'column' is meant.")),

@@ -1,5 +1,6 @@
 """Planted faults are found and named, and healthy runs are left in peace."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -32,6 +33,14 @@ def test_nothing_is_found_in_a_healthy_run(filter):
         found = mo.diagnose(mo.run(seed, filter, model(), ys, keep=mo.keep.laws), xs)
         # one rare measurement leaves few particles for a step, which is told, and does no harm
         assert found.trusted and {finding.name for finding in found.findings} <= {"degenerate paths", "starvation"}, str(found)
+
+
+def test_many_runs_are_judged_one_by_one():
+    many = jax.vmap(lambda key: mo.run(key, mo.KalmanFilter(), model(), YS[:4]))(jax.random.split(jax.random.key(0), 3))
+    with pytest.raises(mo.MotesError, match="diagnose history: expected one run, got 3 runs. Judge one by one: the first is ") as told:
+        mo.diagnose(many)
+    first = str(told.value).partition("the first is ")[2].removesuffix(".")
+    assert first == "jax.tree.map(lambda leaf: leaf[0], history)" and mo.diagnose(jax.tree.map(lambda leaf: leaf[0], many)) is not None
 
 
 def test_a_lost_filter_says_so():

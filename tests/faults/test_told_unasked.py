@@ -76,6 +76,16 @@ def test_wide_priors(name):
     assert "wide prior" in mo.diagnose(history)
 
 
+def test_wide_priors_of_a_smoother():
+    """The square-root filter keeps the digits that its smoother loses."""
+    smoother = mo.smoothers.RauchTungStriebelSmoother()
+    for prior, lines in ((1e7, 1), (1e4, 0)):
+        model = trend(prior)
+        history = mo.run(0, mo.SquareRootKalmanFilter(), model, CLIMB, keep=mo.keep.laws)
+        _, said = warned(lambda: mo.smooth(1, smoother, model, history))  # noqa: B023
+        assert len(said) == lines and all("smooth: the prior variance of component 0 of y is 1e+07 times" in line for line in said)
+
+
 def test_what_needs_no_warning():
     for filter, prior in ((mo.KalmanFilter(), 1e4), (mo.SquareRootKalmanFilter(), 1e10)):
         history, said = warned(lambda filter=filter, prior=prior: mo.run(0, filter, trend(prior), CLIMB))

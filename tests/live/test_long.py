@@ -119,7 +119,7 @@ def test_memory_is_flat_over_a_million_steps():
         waits = True
         at = 0
 
-        def texts(self, timeout):
+        def receive(self, timeout):
             self.at += 100
             return None if self.at > 1_000_000 else [
                 (b'{"k": %d, "t": %d, "a": 0.1, "push": 0.0}' % (k, k), None, None) for k in range(self.at - 100, self.at)]  # fmt: skip

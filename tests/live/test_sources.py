@@ -22,11 +22,16 @@ from motes.live.sink import Guarded
 FORM = Names(("a", "b"), ("speed",), "t", "k")
 
 
+def messages(source):
+    """What comes within a moment, as messages."""
+    return [one for received in source.receive(0.05) or [] if (one := source.understood(received)) is not None]
+
+
 def heard(source, count, seconds=10.0):
     """The messages that come, until they are so many."""
     found, until = [], time.monotonic() + seconds
     while len(found) < count and time.monotonic() < until:
-        found += source.read(0.05) or []
+        found += messages(source)
     return found
 
 
@@ -88,7 +93,7 @@ def test_lines_of_a_file_have_positions_and_the_last_may_lack_its_end(tmp_path):
     source.close()
     again = of_file(str(path), Form(FORM))
     again.go_on(found[0].position)
-    assert [one.number for one in heard(again, 2)] == [1, 2] and again.read(0.0) is None
+    assert [one.number for one in heard(again, 2)] == [1, 2] and again.receive(0.0) is None
     again.close()
 
 
@@ -113,7 +118,7 @@ def test_zeromq_comes_and_goes():
     found = []
     while not found and time.monotonic() < until:  # a subscription takes a moment
         publisher.send_multipart([b"topic", text(1)])
-        found = source.read(0.05)
+        found = messages(source)
     assert found[0].number == 1
     with pytest.raises(mo.MotesError, match="sink tcp.*a free port.*Address already in use"):
         sink_at(f"tcp://127.0.0.1:{port}")
@@ -162,7 +167,7 @@ def test_recordings_are_replayed_at_their_speed():
     ys = np.arange(6.0)[:, None]
     fast = Replay("rows", ys, {"push": ys}, speed=0)
     found = heard(fast, 6)
-    assert [one.y[0] for one in found] == list(range(6)) and found[2].u["push"] == 2 and fast.read(0) is None
+    assert [one.y[0] for one in found] == list(range(6)) and found[2].u["push"] == 2 and fast.receive(0) is None
     began = time.monotonic()
     paced = Replay("rows", ys, None, 100.0 + 0.1 * np.arange(6), speed=5.0)
     assert len(heard(paced, 6)) == 6 and 0.09 < time.monotonic() - began < 5 and found[3].position == 4

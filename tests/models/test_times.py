@@ -41,6 +41,17 @@ def test_steps_without_measurement_change_nothing_when_left_out():
     np.testing.assert_allclose(few.mean, np.asarray(whole.mean)[kept], rtol=1e-3, atol=1e-3)
 
 
+def test_a_run_over_a_timeline_is_smoothed_and_forecast_with_it(precision):
+    line, smoother = mo.times(STAMPS, YS), mo.smoothers.RauchTungStriebelSmoother()
+    assert line.inputs["dt"].dtype == precision
+    history = mo.run(0, mo.KalmanFilter(), UNEVEN, line, keep=mo.keep.laws)
+    found = mo.smooth(1, smoother, UNEVEN, history, line)
+    np.testing.assert_array_equal(found.mean, mo.smooth(1, smoother, UNEVEN, history, inputs=line.inputs).mean)
+    assert np.isfinite(mo.forecast(history, 2, {"dt": np.full(2, 0.5)}).mean).all()
+    with pytest.raises(mo.MotesError, match="smooth inputs: expected none beside a timeline"):
+        mo.smooth(1, smoother, UNEVEN, history, line, line.inputs)
+
+
 def test_equal_stamps_are_steps_that_take_no_time():
     twice = mo.times(np.repeat(STAMPS, 2), np.repeat(YS, 2, axis=0))
     found = mo.run(0, mo.KalmanFilter(), UNEVEN, twice)

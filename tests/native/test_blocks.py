@@ -167,7 +167,6 @@ def test_batches_of_runs():
                 assert np.array_equal(nested[0][i, j], single[0]) and np.array_equal(nested[1][i, j], single[1])
 
 
-@pytest.mark.night
 def test_derivatives_of_a_batch_of_runs():
     """The batch axes of a kernel's results and of the JAX operation that gives its derivatives differ by themselves."""
 

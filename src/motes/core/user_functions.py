@@ -46,7 +46,8 @@ def _message(role: str, function: Any, args: tuple[Any, ...], reason: Exception)
     first = (str(reason).strip().splitlines() or [""])[0]
     shown = f' ("{source[:LONGEST_LINE]}")' if source else ""
     message = f"{role}: expected a function that JAX can trace, got {type(reason).__name__} at {where}{shown}: {first[:120]}"
-    return f"{message} {_cure(reason, source, args)}".rstrip()
+    cure = _cure(reason, source, args)
+    return f"{message.rstrip('.')}. {cure}" if cure else message
 
 
 def _does_not_take(function: Any, args: tuple[Any, ...]) -> str:

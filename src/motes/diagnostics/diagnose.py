@@ -39,10 +39,14 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
         angles: states that are angles in radians, beside those that the dynamics of the run declare.
 
     Raises:
-        MotesError: truth has another shape.
+        MotesError: truth has another shape, or the history is of many runs.
     """
     if not isinstance(history, History):
         checks.refuse("diagnose history", "what mo.run gave", type(history).__name__)
+    runs = np.shape(history.info.ess)[:-1]
+    if runs:
+        first = f"jax.tree.map(lambda leaf: leaf[{', '.join('0' * len(runs))}], history)"
+        checks.refuse("diagnose history", "one run", f"{'x'.join(map(str, runs))} runs", f"Judge one by one: the first is {first}.")
     found = [*notices.notices(history), _scarce(history), _invalid(history), undeclared_angles(history)]
     if not notices.coarseness(history):  # whose errors have another cure than noise
         found += _innovations(history)

@@ -1,10 +1,10 @@
-"""Messages on their way from a source to the filter: the rest of what was read waits here, or is read by a thread of its own."""
+"""Messages on their way from a source to the filter: they wait here as they came, which takes less memory than what they say."""
 
 import threading
 from collections import deque
 from collections.abc import Sequence
+from typing import Any
 
-from motes.live.message import Message
 from motes.live.source import Source
 
 POLL = 0.2
@@ -19,7 +19,7 @@ class Inbox:
     def __init__(self, source: Source):
         """Begin to listen."""
         self._source = source
-        self._queue: deque[Message] = deque()
+        self._queue: deque[Any] = deque()
         self._came, self._ended = threading.Event(), threading.Event()
         self._over = False
         self._failure: BaseException | None = None
@@ -30,7 +30,7 @@ class Inbox:
     def _listen(self) -> None:
         try:
             while not self._ended.is_set():
-                found = self._source.read(POLL)
+                found = self._source.receive(POLL)
                 if found is None:
                     break
                 if len(self._queue) + len(found) > QUEUE:
@@ -45,14 +45,14 @@ class Inbox:
         self._over = True
         self._came.set()
 
-    def take(self, timeout: float) -> Sequence[Message] | None:
-        """Return what came, waiting so many seconds at most; None where nothing will come any more."""
+    def take(self, timeout: float) -> Sequence[Any] | None:
+        """Return what came as it came, waiting so many seconds at most; None where nothing will come any more."""
         if self._thread is None:
             if self._queue:
                 found = list(self._queue)
                 self._queue.clear()
                 return found
-            return self._source.read(timeout)
+            return self._source.receive(timeout)
         self._came.wait(timeout)
         self._came.clear()
         found = []
@@ -66,9 +66,9 @@ class Inbox:
                 return None
         return found
 
-    def put_back(self, messages: Sequence[Message]) -> None:
+    def put_back(self, received: Sequence[Any]) -> None:
         """Put back what was not taken."""
-        self._queue.extendleft(reversed(messages))
+        self._queue.extendleft(reversed(received))
 
     def close(self) -> None:
         """End the thread, close the source, and count what was read and not taken, unless it can be read again."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from motes.io.files import foreign, reject
 from motes.live.counts import LOG
 from motes.live.message import LONGEST, Form
-from motes.live.source import TextSource
+from motes.live.source import Received, TextSource
 
 PIECE = 1 << 16
 """Bytes that are read at a time."""
@@ -31,7 +31,7 @@ class Lines(TextSource):
         self._at = os.lseek(file, 0, os.SEEK_CUR) if self.repeats else 0
         self._ended = False
 
-    def texts(self, timeout: float) -> Sequence[tuple[bytes, int | None, float | None]] | None:
+    def receive(self, timeout: float) -> Sequence[Received] | None:
         """Return lines; the last one may lack its end."""
         if self._ended:
             return None
@@ -107,7 +107,7 @@ class Serial(TextSource):
             termios.tcsetattr(file, termios.TCSANOW, settings)
         return Lines(self.name, self.form, file)
 
-    def texts(self, timeout: float) -> Sequence[tuple[bytes, int | None, float | None]] | None:
+    def receive(self, timeout: float) -> Sequence[Received] | None:
         """Return lines; a broken line is opened again, later and later."""
         if self._lines is None:
             time.sleep(min(timeout, max(0.0, self._next - time.monotonic())))
@@ -120,7 +120,7 @@ class Serial(TextSource):
             self.counts.add("reconnected", f"{self.name}: connected again.")
             self._tries = 0
         try:
-            found = self._lines.texts(timeout)
+            found = self._lines.receive(timeout)
         except OSError as reason:
             return self._broken(reason.strerror or str(reason))
         arrived = time.monotonic()

@@ -153,27 +153,30 @@ class Run:
         silence = SILENCE
         try:
             while not ends():
-                messages = inbox.take(POLL)
+                came = inbox.take(POLL)
                 now = time.monotonic()
-                if messages is None:
+                if came is None:
                     for placed in self.order.rest():
                         self._take(placed)
                     break
-                if not messages:
-                    silence = self._silent(now - heard, silence)
-                    continue
-                for place, message in enumerate(messages):
-                    self._last = message
-                    for placed in self._placed(message):
-                        self._take(placed)
+                said = False
+                for place, received in enumerate(came):
+                    message = self.source.understood(received)
+                    if message is not None:
+                        self._last, said = message, True
+                        for placed in self._placed(message):
+                            self._take(placed)
                     if time.monotonic() - saved > self.settings.checkpoint:
                         self.save()
                         saved = time.monotonic()
                     if ends():
-                        inbox.put_back(messages[place + 1 :])
+                        inbox.put_back(came[place + 1 :])
                         break
-                # a batch may have taken long
-                heard, silence = time.monotonic(), SILENCE
+                if said:
+                    # a batch may have taken long
+                    heard, silence = time.monotonic(), SILENCE
+                else:
+                    silence = self._silent(now - heard, silence)
         finally:
             inbox.close()
             self.save()

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks
@@ -103,6 +104,7 @@ class Form:
         self.needed = tuple(name for name in self.inputs if name != STEP)
         self.fields = names.fields or (*([self.number] if self.number else []), self.time, *self.columns, *self.needed)
         self.held: dict[str, Any] = {}
+        self._kind = jnp.result_type(float)
 
     def read(self, text: bytes, position: int | None = None, arrived: float | None = None) -> Message:
         """Make a message of a line.
@@ -171,13 +173,13 @@ class Form:
         if self._structure is None:
             if self.timed and seconds is None:
                 raise Unreadable(f"no {self.time!r} in it")
-            return ({STEP: np.asarray(seconds, np.float32), **u} if self.timed else u) or None
+            return ({STEP: np.asarray(seconds, self._kind), **u} if self.timed else u) or None
         leaves = jax.tree.leaves(u, is_leaf=lambda leaf: leaf is None)
         if not any(leaf is None for leaf in leaves):
             return u
         if seconds is None:
             raise Unreadable(f"neither {STEP!r} nor {self.time!r} in it")
-        return jax.tree.unflatten(self._structure, [np.asarray(seconds, np.float32) if leaf is None else leaf for leaf in leaves])
+        return jax.tree.unflatten(self._structure, [np.asarray(seconds, self._kind) if leaf is None else leaf for leaf in leaves])
 
     def example(self) -> str:
         """Return what a message may look like."""

@@ -38,13 +38,17 @@ class Replay(Source):
         self._speed, self._at = (0.0 if times is None else speed), 0
         self._began: float | None = None
 
+    def understood(self, received: int) -> Message:
+        """Return the message of a row."""
+        return self.message(received)
+
     def message(self, content: Any) -> Message:
         """Return the message of a row."""
         row = int(content)
         y, u = at_step(self._rows, row)
         return Message(row, y, u, None if self._times is None else float(self._times[row]), position=row + 1)
 
-    def read(self, timeout: float) -> Sequence[Message] | None:
+    def receive(self, timeout: float) -> Sequence[int] | None:
         """Return the rows whose time has come."""
         if self._at >= self._steps:
             return None
@@ -59,7 +63,7 @@ class Replay(Source):
             if self._at == begin:
                 time.sleep(min(timeout, max(0.0, due[begin] - now)))
                 return []
-        return [self.message(row) for row in range(begin, self._at)]
+        return range(begin, self._at)
 
     def go_on(self, position: int) -> None:
         """Begin at a row."""

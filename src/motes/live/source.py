@@ -9,7 +9,7 @@ from motes.live.message import Early, Form, Message, Unreadable
 
 
 class Source(ABC):
-    """Where messages come from. `read` is called by one thread, again and again.
+    """Where messages come from. `receive` is called by one thread, again and again, `understood` by that of the filter.
 
     Attributes:
         name: as the user gave it.
@@ -28,8 +28,12 @@ class Source(ABC):
         self.name, self.counts = name, Counts()
 
     @abstractmethod
-    def read(self, timeout: float) -> Sequence[Message] | None:
-        """Return what came, waiting so many seconds at most for something; None where nothing will come any more."""
+    def receive(self, timeout: float) -> Sequence[Any] | None:
+        """Return what came as it came, waiting so many seconds at most for something; None where nothing will come any more."""
+
+    @abstractmethod
+    def understood(self, received: Any) -> Message | None:
+        """Return the message that something received is; None where it is none, which is counted."""
 
     @abstractmethod
     def message(self, content: Any) -> Message:
@@ -45,8 +49,12 @@ class Source(ABC):
         """Give back what is open."""
 
 
+Received = tuple[bytes, int | None, float | None]
+"""A text, where the source goes on after it, and when it arrived."""
+
+
 class TextSource(Source):
-    """A source of lines or datagrams; subclasses write `texts`."""
+    """A source of lines or datagrams; subclasses write `receive`."""
 
     def __init__(self, name: str, form: Form):
         """Take name and form of the messages."""
@@ -54,15 +62,12 @@ class TextSource(Source):
         self.form = form
 
     @abstractmethod
-    def texts(self, timeout: float) -> Sequence[tuple[bytes, int | None, float | None]] | None:
-        """Return what came: text, where the source goes on after it, and when it arrived; see `read`."""
+    def receive(self, timeout: float) -> Sequence[Received] | None:
+        """Return the texts that came."""
 
-    def read(self, timeout: float) -> Sequence[Message] | None:
-        """Read what came; what is no message is counted."""
-        found = self.texts(timeout)
-        return None if found is None else [one for text in found if (one := self._read(*text)) is not None]
-
-    def _read(self, text: bytes, position: int | None, arrived: float | None) -> Message | None:
+    def understood(self, received: Received) -> Message | None:
+        """Read a text."""
+        text, position, arrived = received
         if not text.strip():
             return None
         try:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from motes.core.checks import refuse
 from motes.live.message import LONGEST, Form
-from motes.live.source import TextSource
+from motes.live.source import Received, TextSource
 
 BUFFER = 1 << 23
 """Bytes of the system's buffer that are asked for; it may give less."""
@@ -46,11 +46,11 @@ class Datagrams(TextSource):
         """The port that is listened at."""
         return self._socket.getsockname()[1]
 
-    def texts(self, timeout: float) -> Sequence[tuple[bytes, int | None, float | None]] | None:
+    def receive(self, timeout: float) -> Sequence[Received] | None:
         """Return the lines of the datagrams that came."""
         if not select.select([self._socket], [], [], timeout)[0]:
             return []
-        found: list[tuple[bytes, int | None, float | None]] = []
+        found: list[Received] = []
         while len(found) < TOGETHER:
             try:
                 datagram = self._socket.recv(LONGEST)

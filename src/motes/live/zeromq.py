@@ -7,7 +7,7 @@ from typing import Any
 from motes.core.checks import need, refuse
 from motes.live.message import LONGEST, Form
 from motes.live.sink import Sink, line_of
-from motes.live.source import TextSource
+from motes.live.source import Received, TextSource
 from motes.live.udp import TOGETHER
 
 WAITING = 100_000
@@ -35,7 +35,7 @@ class Subscription(TextSource):
         except self._zmq.ZMQError as reason:
             refuse(f"source {name}", "an address such as tcp://127.0.0.1:5006 or ipc://path", str(reason))
 
-    def texts(self, timeout: float) -> Sequence[tuple[bytes, int | None, float | None]] | None:
+    def receive(self, timeout: float) -> Sequence[Received] | None:
         """Return the messages that came."""
         if not self._socket.poll(1e3 * timeout):
             return []

@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks
@@ -118,7 +119,7 @@ def _with_steps(inputs: Inputs, seconds: np.ndarray) -> dict[str, Any]:
     given = {name: np.asarray(value) if isinstance(value, (list, tuple)) else value for name, value in (inputs or {}).items()}
     for name, value in given.items():
         _counted(f"times inputs {name!r}", value, seconds)
-    return {**given, "dt": np.diff(seconds, prepend=seconds[:1]).astype(np.float32)}
+    return {**given, "dt": np.diff(seconds, prepend=seconds[:1]).astype(jnp.result_type(float))}
 
 
 def _spread(ys: Any, rows: list[int], steps: int) -> Any:

@@ -57,22 +57,27 @@ class Summit(NamedTuple):
 class Ascent:
     """A likelihood whose random numbers are fixed, as optimizers ask for it."""
 
-    def __init__(self, keys: jax.Array, given: Likelihood):
-        """Take keys `(k,)`, over which it is averaged, and a likelihood."""
-        self.keys, self.given, self.beside, self.rounds = keys, given, Beside(given), 0
+    def __init__(self, keys: jax.Array, given: Likelihood, told: Callable[[float], object]):
+        """Take keys `(k,)`, over which it is averaged, a likelihood, and who is told each log likelihood that was found."""
+        self.keys, self.given, self.beside, self.told, self.rounds = keys, given, Beside(given), told, 0
 
     def height(self, z: np.ndarray) -> float:
         """Return the log likelihood."""
-        return float(height(self.keys, self.given, np.asarray(z, np.float64), self.beside))
+        found = float(height(self.keys, self.given, np.asarray(z, np.float64), self.beside))
+        self.told(found)
+        return found
 
     def heights(self, z: np.ndarray) -> np.ndarray:
         """Return the log likelihood by each key, `(k,)`."""
-        return np.asarray(heights(self.keys, self.given, np.asarray(z, np.float64), self.beside))
+        found = np.asarray(heights(self.keys, self.given, np.asarray(z, np.float64), self.beside))
+        self.told(float(found.mean()))
+        return found
 
     def slope(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         """Return log likelihood and slope."""
         self.rounds += 1
         found, up = slope(self.keys, self.given, np.asarray(z, np.float64), self.beside)
+        self.told(float(found))
         return float(found), np.asarray(up)
 
     def information(self, z: np.ndarray) -> np.ndarray:
@@ -221,7 +226,7 @@ def _at_bounds(ascent: Ascent, top: Summit) -> tuple[Likelihood | None, np.ndarr
             return None, top.z + away * best * this
         there = replace(given, values=np.where(this, low if at_low else high, values), held=held | this)
         bounded = replace(top.given, parameters=there)
-        if Ascent(ascent.keys, bounded).height(top.z) >= top.log_likelihood - GAINED:
+        if Ascent(ascent.keys, bounded, ascent.told).height(top.z) >= top.log_likelihood - GAINED:
             return bounded, None
     return None, None
 

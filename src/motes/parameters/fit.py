@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from motes.core import checks, random
+from motes.core.progress import bars
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike, Measurements
 from motes.filters.interface import Filter
@@ -29,7 +30,8 @@ def fit(  # noqa: PLR0913 (what one may say of a fit, each by its name)
 ) -> Fit:  # fmt: skip
     """Estimate the parameters of a model by maximum likelihood.
 
-    All is computed in float64, also where the session works in float32; the fitted model is in the session's precision.
+    All is computed in float64, also where the session works in float32; the fitted model is in the session's precision. Shows progress
+    where the error stream is a terminal, or in a notebook.
 
     Sources: Nocedal, Wright 2006, Numerical Optimization, algorithm 6.1 (the climb); Box, Wilson 1951, On the experimental attainment of
     optimum conditions (the top of a likelihood by simulation).
@@ -64,23 +66,30 @@ def fit(  # noqa: PLR0913 (what one may say of a fit, each by its name)
     checks.positive_integer("fit rounds", rounds)
     with jax.enable_x64(True):
         given = likelihood_of(parameters_of(init, names, fixed, positive, bounds), model_of, ys, inputs, filter, burn)
-        found = _estimates(given, random.step_keys(random.as_key(key), KEYS), by, rounds)
+        with bars("likelihoods", passing=True) as drawn:
+            task = drawn.add_task("fit", total=None)
+
+            def told(value: float) -> None:
+                drawn.update(task, advance=1, description=f"fit {value:.6g}")
+
+            found = _estimates(given, random.step_keys(random.as_key(key), KEYS), by, rounds, told)
     used = replace(given.filter, on_collapse="raise") if filter is None else filter
     # in the session's own precision
     return Fit(model=model_of(given.parameters.given(jnp.asarray(found["values"]))), filter=repr(used), **found)
 
 
-def _estimates(given: Likelihood, keys: jax.Array, by: str, rounds: int) -> dict[str, Any]:
+def _estimates(given: Likelihood, keys: jax.Array, by: str, rounds: int, told: Callable[[float], object]) -> dict[str, Any]:
     """Climb, and return what that says of the parameters, in their own units."""
-    form, ascent, error = given.parameters, Ascent(keys[:1], given), None
+    form, ascent, error = given.parameters, Ascent(keys[:1], given, told), None
     z = started(ascent, form.coordinates())
-    noisy = Ascent(keys[1:2], given).slope(z)[0] != ascent.slope(z)[0]
+    here = ascent.slope(z)[0]
+    noisy = Ascent(keys[1:2], given, told).slope(z)[0] != here
     if by == "em":
         ask_linear(given)
         z = maximized(ascent, z, rounds)
         top = looked_around(ascent, z)
     elif noisy:
-        top, error = surveyed(keys, given, z, rounds)
+        top, error = surveyed(keys, given, z, rounds, told)
     else:
         top = climbed(ascent, z, rounds)
     converged, message, inverse = verdict(top, form)

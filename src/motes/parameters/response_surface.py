@@ -8,6 +8,7 @@ Second derivatives of a particle filter are no way to the information: their noi
 particles have the same ancestors, which makes them too large. Estimates at places further apart say more than slopes at one.
 """
 
+from collections.abc import Callable
 from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
@@ -45,7 +46,9 @@ class Surface(NamedTuple):
     best: np.ndarray
 
 
-def surveyed(keys: jax.Array, given: Likelihood, z: np.ndarray, rounds: int) -> tuple[Summit, np.ndarray | None]:
+def surveyed(
+    keys: jax.Array, given: Likelihood, z: np.ndarray, rounds: int, told: Callable[[float], object]
+) -> tuple[Summit, np.ndarray | None]:
     """Climb from coordinates `(p,)`, and return where that ended and the standard deviation `(q,)` of the free coordinates over keys.
 
     Args:
@@ -53,8 +56,9 @@ def surveyed(keys: jax.Array, given: Likelihood, z: np.ndarray, rounds: int) -> 
         given: the likelihood.
         z: first coordinates.
         rounds: iterations of BFGS, at most.
+        told: is told each log likelihood that was found.
     """
-    ascent = Ascent(keys, given)
+    ascent = Ascent(keys, given, told)
     z = quasi_newton(ascent, z, rounds, least=0.5)
     free = np.flatnonzero(given.parameters.free)
     survey = _Survey(ascent, free)

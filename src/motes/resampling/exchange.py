@@ -165,7 +165,7 @@ class Ring(OwnNumber):
 
 @record
 class Butterfly(OwnNumber):
-    """Each element exchanges a share of its particles with a partner, at distances 1, 2, 4, ... from step to step.
+    """Each element exchanges a share of its particles with a partner, whose distance doubles from step to step: 1, 2, 4 and so on.
 
     After log2 K steps every element has heard of all others, where a ring takes K; messages go further.
 

@@ -110,8 +110,10 @@ class Smoother(ABC):
 
     Attributes:
         lost: where it gives means that are no numbers because it found nothing: what it looked for, and what to do instead.
+        subtracts: whether it takes covariances apart by differences, so that priors far wider than the noise cost digits.
     """
 
+    subtracts: ClassVar[bool] = False
     lost: ClassVar[tuple[str, str] | None] = None
 
     def __post_init__(self) -> None:

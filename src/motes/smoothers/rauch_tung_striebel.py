@@ -55,6 +55,7 @@ class RauchTungStriebelSmoother(Smoother):
     """
 
     rule: Rule = Taylor()
+    subtracts = True
 
     def check_parameters(self) -> None:
         """Check the parameters.

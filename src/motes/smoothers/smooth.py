@@ -10,12 +10,14 @@ import numpy as np
 from motes.core import checks, random
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike, Measurements
+from motes.filters import notices
 from motes.filters.data import checked_data, steps_of
 from motes.filters.history import History
 from motes.laws.observed import Observed
 from motes.models.canonical import canonical, one_of, shape_of
 from motes.models.interface import Model
 from motes.models.state_space import at_step, checked_inputs
+from motes.models.times import Timeline
 from motes.smoothers.interface import Smoothed, Smoother, Steps
 from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
@@ -33,7 +35,8 @@ def smooth(
         smoother: the smoother, such as `RauchTungStriebelSmoother()`.
         model: the model of the run.
         history: of the run, from its first step to its last (`joined` if it was cut), with laws kept where the smoother needs them.
-        ys: measurements of the run `(t, y)`, for smoothers that look at them and for models whose noises are correlated.
+        ys: measurements of the run `(t, y)`, for smoothers that look at them and for models whose noises are correlated; what `times` gave
+            has the inputs, too.
         inputs: inputs of the run, with the time axis first.
 
     Raises:
@@ -47,6 +50,10 @@ def smooth(
     if isinstance(history.state, dict):
         checks.refuse("smooth history", "a history whose laws are known", "one from a file that does not name their kind",
                       "Smooth before saving, or run anew.")
+    if isinstance(ys, Timeline):
+        if inputs is not None:
+            checks.refuse("smooth inputs", "none beside a timeline, which has them", "some", "Give them to mo.times(..., inputs=...).")
+        ys, inputs = ys.ys, ys.inputs
     count = history.info.ess.shape[0]
     inputs = checked_inputs(inputs, count, "history")
     if ys is not None:
@@ -62,20 +69,31 @@ def smooth(
     # the label says with which parameters, and would make each filter compile anew; as would times and models
     bare = replace(history, label="", labels=None, made_by=None, times=None)
     found = _smooth(random.key_or_data(key), smoother, known, bare, ys, inputs, Beside((smoother, known)))
-    if smoother.lost is not None and checks.is_concrete(found.mean):
+    if checks.is_concrete((found.mean, history.rounding)):
         _ask_found(smoother, found.mean, history)
+        _tell_of_wide_priors(smoother, history)
     of_steps = {"labels": history.labels, "start": history.start, "times": history.times}
     return replace(found, names=history.names, label=repr(smoother), **of_steps)
 
 
 def _ask_found(smoother: Smoother, mean: jax.Array, history: History) -> None:
     """Refuse means that are no numbers where the run's own are."""
-    assert smoother.lost is not None
+    if smoother.lost is None:
+        return
     own, (expected, hint) = history.kept.get("mean", history.info.log_evidence), smoother.lost
     void = np.isnan(np.asarray(mean)).any(axis=1)
     if void.any() and not np.isnan(np.asarray(own)).any():
         step = int(history.start) + int(np.flatnonzero(void)[-1])
         checks.refuse(f"{type(smoother).__name__} history", expected, f"none of them at step {step}", hint)
+
+
+def _tell_of_wide_priors(smoother: Smoother, history: History) -> None:
+    """Warn where a smoother loses digits that the filter did not."""
+    if smoother.subtracts and not history.subtracts:
+        for one in notices.coarseness(replace(history, subtracts=True)):
+            if one.name == "wide prior":
+                cure = "Use a narrower prior or float64 (jax.config.update('jax_enable_x64', True))."
+                checks.warn(f"smooth: {one.text} The first steps may be wrong. {cure}")
 
 
 @jitted

@@ -10,6 +10,7 @@ from motes.core.record import replace
 from motes.io.columns import Columns, MissingColumnError
 from motes.io.guesses import Guess, column, guessed, proposing, words_and_unit
 from motes.io.tables import read_table
+from motes.io.units import back_to
 from motes.models.terrain import TerrainMap
 
 FARTHEST = 4.1e7
@@ -88,9 +89,9 @@ def read_recording(terrain: TerrainMap, recording: Recording) -> Columns:
         beyond = (table[name] < low) | (table[name] > high)
         hint = ""
         if beyond.any():
-            value = table[name][np.argmax(beyond)]
+            value = back_to(table[name][np.argmax(beyond)], dialect.units.get(name, ""), "m")
             hint = "Leave the cell empty if nothing was measured" + (
-                f", or say so under [data]: missing = [{value:g}]" if name not in recording.inertial else "") + "."  # fmt: skip
+                f", or say so under [data]: missing = [{value:.10g}]" if name not in recording.inertial else "") + "."  # fmt: skip
         if name == recording.height and np.nanmedian(table[name]) < 0:
             hint = "They are below 0 for the most part: write heights above terrain as positive numbers."
         _refuse_rows(table, name, beyond, f"meters between {low:g} and {high:g}", hint)
