@@ -138,7 +138,7 @@ WRONG = {
     "words": (pd.DataFrame({"a": ["n/a"] * 6, "b": 1.0}), "got 'n/a' at index [0, 0]"),
     "spans": (np.full((6, 2), np.timedelta64(3, "s")), "got dtype timedelta64[s]"),
     "complex": (WANTED.astype(complex), "got dtype complex128"),
-    "ragged": ([[1.0, 2.0], [3.0]], "got list"),
+    "ragged": ([[1.0, 2.0], [3.0]], "got rows of 2, 1 numbers. Give NaN where nothing was measured"),
     "beyond single precision": (np.where(GAP, 1e39, PLAIN), "got 1e+39 at index [1, 0]"),
 }
 

@@ -99,7 +99,7 @@ def as_numbers(argument: str, value: Any, expected: str = "an array of numbers")
     try:
         array = np.asarray(_unmasked(value))
     except (TypeError, ValueError):
-        refuse(argument, expected, type(value).__name__)
+        refuse(argument, expected, *_ragged(value))
     if array.dtype == object:
         array = np.array([_as_number(argument, item, place, expected) for place, item in np.ndenumerate(array)]).reshape(array.shape)
     known = np.issubdtype(array.dtype, np.number) or array.dtype == bool or jnp.issubdtype(array.dtype, jnp.floating)
@@ -119,6 +119,15 @@ def _unmasked(value: Any) -> Any:
     items = value.data.astype(object)
     items[np.ma.getmaskarray(value)] = None
     return items
+
+
+def _ragged(value: Any) -> tuple[str, str]:
+    """Return what is wrong with what NumPy makes no array of, and what to do."""
+    lengths = [len(row) for row in value if isinstance(row, (list, tuple, np.ndarray))] if isinstance(value, (list, tuple)) else []
+    if len(set(lengths)) < 2:
+        return type(value).__name__, ""
+    shown = ", ".join(map(str, lengths[:5])) + ", ..." * (len(lengths) > 5)
+    return f"rows of {shown} numbers", "Give NaN where nothing was measured; mo.sightings and mo.plots take rows of any number."
 
 
 def _as_number(argument: str, item: Any, place: tuple[int, ...], expected: str) -> float:
