@@ -12,6 +12,7 @@ import motes as mo
 from motes.core.checks import MotesError
 from motes.report.film import LEADING
 from motes.report.scene import Scene
+from motes.watch.recorder import WAITING
 
 pytest.importorskip("uvicorn")
 WIDTH = len(LEADING) + 3 * len(NAMES)
@@ -179,6 +180,43 @@ def test_rows_are_thinned_and_alarms_stay(opened):
     steps = recorder.rows[: recorder.count, 0]
     assert recorder.count <= 4_096 and (np.diff(steps) > 0).all() and steps[0] == 0 and 19_997 in steps
     assert recorder.generation > 1 and np.diff(steps).max() < 40
+
+
+@pytest.mark.parametrize("looked", [0, 3], ids=["never", "a while ago"])
+def test_a_report_is_of_every_step_however_seldom_the_page_looked(opened, looked):
+    stream = small_stream()
+    page = opened(stream, budget=1e-9)
+    recorder = page._recorder
+    stepped(stream, page, looked)
+    turn, recorder.turn = recorder.turn, lambda: False  # the thread of the page looks no more
+    turn()
+    for value in (30.0, -30.0) * 5:
+        stepped(stream, page, 1, value)
+    stepped(stream, page, 250)
+    recorder.turn = turn
+    film = recorder.film("x")
+    facts = dict(film.facts)
+    assert facts["steps"] == str(looked + 260) and facts["late steps"].startswith(f"{looked + 260} took") and "judged" not in facts
+    assert float(facts["log likelihood"]) == pytest.approx(float(stream.log_likelihood), rel=1e-4)
+    # what was wrong lies further back than what the page judges
+    assert "alarm" in [one.name for one in film.findings] and film.frames[-1].step == stream.t
+    if not looked:
+        # programs are compiled meanwhile: the first steps wait to be drawn
+        assert film.rows[:64, 0].tolist() == list(range(64)) and film.rows[-1, 0] == stream.t and len(film.frames) == 12
+
+
+def test_steps_whose_records_had_to_go_are_told(opened):
+    stream = small_stream()
+    page = opened(stream)
+    recorder = page._recorder
+    turn, recorder.turn = recorder.turn, lambda: False
+    stepped(stream, page, 1)
+    for _ in range(WAITING + 5):
+        page.show(seconds=1e-3)
+    recorder.turn = turn
+    facts = dict(recorder.film("x").facts)
+    assert facts["steps"] == str(WAITING + 6) and facts["without a record"].startswith("6 steps")
+    assert facts["judged"] == f"the last {WAITING} steps"
 
 
 def test_the_end_is_told_with_its_report(opened):
