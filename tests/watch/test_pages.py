@@ -274,10 +274,35 @@ def test_pages_of_threads_are_independent(opened):
     ({"port": 70_000}, "watch port: expected a whole number from 0 to 65535"),
     ({"port": True}, "watch port"),
     ({"host": "nowhere.invalid"}, "watch host: expected an address of this machine"),
+    ({"host": ""}, "watch host: expected an address of this machine, got ''"),
+    ({"host": 5}, "watch host: expected an address of this machine, got 5"),
+    ({"truth": [[1, 2], [3]]}, "watch truth: expected an array of numbers"),
+    ({"scene": 5}, "watch scene: expected a Scene .*, got int"),
+    ({"title": 5}, "watch title: expected a text, got int"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused(options, words):
     with pytest.raises(MotesError, match=words):
         mo.watch(small_stream(), **options)
+
+
+@pytest.mark.parametrize("given, words", [
+    ({"seconds": "a"}, "show seconds: expected a number, or None, got dtype <U1"),
+    ({"time": "b"}, "show time: expected a number, or None"),
+    ({"time": np.zeros(2)}, "show time: expected a number, or None, got shape .2,."),
+    ({"picture": "no"}, "show picture: expected an array of uint8, .height, width, 3., got str"),
+    ({"picture": np.zeros((4, 4, 3))}, "show picture: .* got float64 .4, 4, 3."),
+    ({"picture": np.zeros((4, 4), np.uint8)}, "show picture: .* got uint8 .4, 4."),
+])  # fmt: skip
+def test_what_cannot_be_shown_is_refused_at_the_call(opened, given, words):
+    stream = small_stream()
+    page = opened(stream)
+    with pytest.raises(MotesError, match=words):
+        page.show(**given)
+    assert page._recorder._slot is None
+    stepped(stream, page, 1)
+    page.show(np.float32(1), np.array(2), np.zeros((4, 5, 3), np.uint8))
+    page.report()
+    assert page._recorder.newest.time == 2 and page._recorder.newest.picture
 
 
 def test_a_port_that_is_taken_is_told(opened):
