@@ -34,6 +34,7 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     assert len(pages) > 300 and (tmp_path / "site" / "searchindex.js").is_file()
     for path, text in pages.items():
         assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=\"https?:", text), path
+        assert '<link rel="icon" href="data:,">' in text, path  # browsers would ask for one that is not there
     for name in mo.__all__:
         if not inspect.ismodule(getattr(mo, name)):
             assert (tmp_path / "site" / "docs" / "api" / f"motes.{name}.html").is_file(), name

@@ -144,6 +144,7 @@ def test_a_source_that_never_comes_is_told(own, capsys, monkeypatch):
     (["--stay", "nan"], "stay: expected seconds"),
     (["--budget", "5"], "budget: expected a time with its unit"),
     (["--host", "192.0.2.7"], "watch host: expected an address of this machine"),
+    (["--host", ""], "watch host: expected an address of this machine, got ''"),
     (["--port", "-4"], "watch port: expected a whole number from 0 to 65535"),
     (["--n", "0"], "n: expected"),
 ])  # fmt: skip

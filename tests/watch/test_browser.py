@@ -68,6 +68,13 @@ def test_a_page_shows_moves_and_obeys_the_keyboard(browser):
         tab.waits("!document.getElementById('report').hidden")
         tab.does("Page.navigate", url=f"http://127.0.0.1:{port}/report")
         tab.waits("document.querySelectorAll('figure canvas').length >= 2 && document.querySelectorAll('.uplot').length >= 2")
+        # on a narrow screen no name is broken, and marks of a logarithmic axis do not run into one another
+        tab.tells("document.body.style.width = '340px'")
+        names = "[...document.querySelectorAll('.wide td:first-child')].filter(cell => cell.textContent === 'steps')"
+        assert tab.tells(f"{names}.length === 1 && {names}[0].clientHeight < 40")
+        marks = "motesCloud.chartAxes(true, {}, {})[1].ticks.filter"
+        assert tab.tells(f"{marks}(null, [0.5, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 1000]).filter(mark => mark !== null)") == [1, 10, 1000]
+        assert tab.tells(f"{marks}(null, [4, 5, 6]).length") == 3
         clean(tab, port)
     finally:
         tab.close()

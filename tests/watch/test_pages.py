@@ -12,6 +12,7 @@ import motes as mo
 from motes.core.checks import MotesError
 from motes.report.film import LEADING
 from motes.report.scene import Scene
+from motes.watch.recorder import WAITING
 
 pytest.importorskip("uvicorn")
 WIDTH = len(LEADING) + 3 * len(NAMES)
@@ -181,6 +182,43 @@ def test_rows_are_thinned_and_alarms_stay(opened):
     assert recorder.generation > 1 and np.diff(steps).max() < 40
 
 
+@pytest.mark.parametrize("looked", [0, 3], ids=["never", "a while ago"])
+def test_a_report_is_of_every_step_however_seldom_the_page_looked(opened, looked):
+    stream = small_stream()
+    page = opened(stream, budget=1e-9)
+    recorder = page._recorder
+    stepped(stream, page, looked)
+    turn, recorder.turn = recorder.turn, lambda: False  # the thread of the page looks no more
+    turn()
+    for value in (30.0, -30.0) * 5:
+        stepped(stream, page, 1, value)
+    stepped(stream, page, 250)
+    recorder.turn = turn
+    film = recorder.film("x")
+    facts = dict(film.facts)
+    assert facts["steps"] == str(looked + 260) and facts["late steps"].startswith(f"{looked + 260} took") and "judged" not in facts
+    assert float(facts["log likelihood"]) == pytest.approx(float(stream.log_likelihood), rel=1e-4)
+    # what was wrong lies further back than what the page judges
+    assert "alarm" in [one.name for one in film.findings] and film.frames[-1].step == stream.t
+    if not looked:
+        # programs are compiled meanwhile: the first steps wait to be drawn
+        assert film.rows[:64, 0].tolist() == list(range(64)) and film.rows[-1, 0] == stream.t and len(film.frames) == 12
+
+
+def test_steps_whose_records_had_to_go_are_told(opened):
+    stream = small_stream()
+    page = opened(stream)
+    recorder = page._recorder
+    turn, recorder.turn = recorder.turn, lambda: False
+    stepped(stream, page, 1)
+    for _ in range(WAITING + 5):
+        page.show(seconds=1e-3)
+    recorder.turn = turn
+    facts = dict(recorder.film("x").facts)
+    assert facts["steps"] == str(WAITING + 6) and facts["without a record"].startswith("6 steps")
+    assert facts["judged"] == f"the last {WAITING} steps"
+
+
 def test_the_end_is_told_with_its_report(opened):
     stream = small_stream(names=("<b>east</b>", "</script>", "x"))
     page = opened(stream, title="<img src=x onerror=alert(1)>")
@@ -236,10 +274,35 @@ def test_pages_of_threads_are_independent(opened):
     ({"port": 70_000}, "watch port: expected a whole number from 0 to 65535"),
     ({"port": True}, "watch port"),
     ({"host": "nowhere.invalid"}, "watch host: expected an address of this machine"),
+    ({"host": ""}, "watch host: expected an address of this machine, got ''"),
+    ({"host": 5}, "watch host: expected an address of this machine, got 5"),
+    ({"truth": [[1, 2], [3]]}, "watch truth: expected an array of numbers"),
+    ({"scene": 5}, "watch scene: expected a Scene .*, got int"),
+    ({"title": 5}, "watch title: expected a text, got int"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused(options, words):
     with pytest.raises(MotesError, match=words):
         mo.watch(small_stream(), **options)
+
+
+@pytest.mark.parametrize("given, words", [
+    ({"seconds": "a"}, "show seconds: expected a number, or None, got dtype <U1"),
+    ({"time": "b"}, "show time: expected a number, or None"),
+    ({"time": np.zeros(2)}, "show time: expected a number, or None, got shape .2,."),
+    ({"picture": "no"}, "show picture: expected an array of uint8, .height, width, 3., got str"),
+    ({"picture": np.zeros((4, 4, 3))}, "show picture: .* got float64 .4, 4, 3."),
+    ({"picture": np.zeros((4, 4), np.uint8)}, "show picture: .* got uint8 .4, 4."),
+])  # fmt: skip
+def test_what_cannot_be_shown_is_refused_at_the_call(opened, given, words):
+    stream = small_stream()
+    page = opened(stream)
+    with pytest.raises(MotesError, match=words):
+        page.show(**given)
+    assert page._recorder._slot is None
+    stepped(stream, page, 1)
+    page.show(np.float32(1), np.array(2), np.zeros((4, 5, 3), np.uint8))
+    page.report()
+    assert page._recorder.newest.time == 2 and page._recorder.newest.picture
 
 
 def test_a_port_that_is_taken_is_told(opened):

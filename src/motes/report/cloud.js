@@ -381,7 +381,13 @@ const motesCloud = (function () {
   function chartAxes(logarithmic, below, beside) {
     const line = function () { return { stroke: style("grid"), width: 1 }; };
     const axis = { stroke: style("text"), grid: line(), ticks: line() };
-    return [Object.assign({}, axis, below), Object.assign({}, axis, beside, logarithmic ? { grid: { show: false } } : {})];
+    // over more than a decade nine marks of each would run into one another
+    const isPower = function (value) { return Math.abs(Math.log10(value) - Math.round(Math.log10(value))) < 1e-6; };
+    const decades = function (plot, values) {
+      return values.length < 12 ? values : values.map(function (value) { return isPower(value) ? value : null; });
+    };
+    const ticks = Object.assign(line(), { filter: decades });
+    return [Object.assign({}, axis, below), Object.assign({}, axis, beside, logarithmic ? { grid: { show: false }, ticks: ticks } : {})];
   }
 
   return { draw: draw, frame: frame, element: element, style: style, count: count, ways: ways, labels: labels, charted: charted,

@@ -51,13 +51,19 @@ class Page:
             seconds: that the step took, for the chart of times.
             time: of the measurement, seconds; steps are only numbered where none is given.
             picture: what was seen, uint8 `(height, width, 3)`, to stand behind the cloud.
+
+        Raises:
+            MotesError: there is no stream yet, or what is given is of another form.
         """
         stream = self.stream
         if stream is None:
             checks.refuse("show", "a page of a stream, as mo.watch(stream) opens it", "one of none yet")
+        if picture is not None and (getattr(picture, "dtype", None) != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3):
+            form = f"{picture.dtype} {picture.shape}" if hasattr(picture, "dtype") else type(picture).__name__
+            checks.refuse("show picture", "an array of uint8, (height, width, 3)", form)
+        seconds, time = _number("show seconds", seconds), _number("show time", time)
         if stream.info is not None:
-            step = Step(stream.info, np.nan if seconds is None else seconds, np.nan if time is None else time)
-            self._recorder.leave(stream, step, picture)
+            self._recorder.leave(stream, Step(stream.info, seconds, time), picture)
 
     def __call__(self, stream: Stream, taken: Any) -> None:
         """Show what a live run tells those who watch it: the stream, and the seconds and the time of its newest step."""
@@ -93,6 +99,18 @@ class Page:
         return f'<iframe src="{source}" width="100%" height="{HEIGHT}" style="border:0" title="motes"></iframe>'
 
 
+def _number(argument: str, value: Any) -> float:
+    """Return a number, NaN where none is given, or refuse."""
+    if value is None:
+        return np.nan
+    if isinstance(value, (int, float)):
+        return float(value)
+    found = checks.as_numbers(argument, value, "a number, or None")
+    if np.ndim(found):
+        checks.refuse(argument, "a number, or None", f"shape {np.shape(found)}")
+    return float(found)
+
+
 def watch(
     stream: Stream, scene: Scene | None = None, truth: Any = None, *, budget: float | None = None, host: str = "127.0.0.1",
     port: int = 0, title: str = "",
@@ -111,15 +129,19 @@ def watch(
         title: over the page; the kind of filter if empty.
 
     Raises:
-        MotesError: scene or truth do not fit the stream, or the port cannot be used.
+        MotesError: scene or truth do not fit the stream, or host or port cannot be used.
         MissingExtraError: the packages that serve the page are not installed.
     """
     checks.instance("watch stream", stream, Stream, "what mo.stream gave")
+    checks.instance("watch title", title, str, "a text")
     names = tuple(stream.model.names)
     if scene is None:
         if truth is not None:
+            truth = checks.as_numbers("watch truth", truth)
             checks.shape("watch truth", truth, (None, len(names)), "(steps, states)")
         scene = scene_of(names, truth, tuple(stream.model.circular))
+    elif not isinstance(scene, Scene):
+        checks.refuse("watch scene", "a Scene (motes.report.scene), or None", type(scene).__name__)
     elif truth is not None:
         checks.refuse("watch truth", "none beside a scene, which has its own", type(truth).__name__)
     if budget is not None:
@@ -150,6 +172,8 @@ def listening(host: str, port: int) -> socket.socket:
     Raises:
         MotesError: the port is taken, or the address is none of this machine's.
     """
+    if not isinstance(host, str) or not host:  # an empty one would be all addresses, without a word
+        checks.refuse("watch host", "an address of this machine", repr(host)[:80], "0.0.0.0 is all of them.")
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 2**16:
         checks.refuse("watch port", "a whole number from 0 to 65535", repr(port))
     try:

@@ -99,12 +99,11 @@ class Server:
             began, found = time.perf_counter(), True
             try:
                 found = self.answers.recorder.turn()
-                if found:
-                    self._news.set()
-                    self._news = asyncio.Event()
             except Exception:
-                # what cannot be drawn is not drawn: the filter goes on, and the page with it
-                LOG.exception("a moment could not be drawn")
+                LOG.exception("a step could not be looked at")
+            if found:
+                self._news.set()
+                self._news = asyncio.Event()
             taken = time.perf_counter() - began
             if found:
                 costs.append(taken)
