@@ -24,8 +24,7 @@ def messages(times, numbers=None, arrived=None):
     numbers = numbers or [None] * len(times)
     arrived = arrived or [None] * len(times)
     return [Message({"t": t, "place": place}, np.zeros(1), None, t, k, a, place)
-            for place, (t, k, a) in enumerate(zip(times, numbers, arrived,
-                                                                                                                 strict=True))]  # fmt: skip
+            for place, (t, k, a) in enumerate(zip(times, numbers, arrived, strict=True))]  # fmt: skip
 
 
 def after(count):

@@ -102,13 +102,14 @@ class Form:
             timed: whether a model without an example of inputs gets the time since the step before as u["dt"].
         """
         self.timed = timed
-        self._y, self.by_name = y, isinstance(y, Mapping)
-        self.columns = names.columns or (tuple(y) if isinstance(y, Mapping) else (MEASURED,))
+        self._y: Any = y
+        self.by_name = isinstance(y, Mapping)
+        self.columns: tuple[str, ...] = names.columns or (tuple(y) if isinstance(y, Mapping) else (MEASURED,))
         self._paths = jax.tree_util.tree_flatten_with_path(u)[0] if u is not None else []
         self._structure = None if u is None else jax.tree.structure(u)
         paths = tuple(".".join(path_names(path)) or INPUTS for path, _ in self._paths)
         self.inputs = paths if u is not None else names.inputs
-        self._example = (y, {name: np.shape(leaf) for name, (_, leaf) in zip(paths, self._paths, strict=True)})
+        self._example: tuple[Any, dict[str, tuple[int, ...]]] = (y, {name: np.shape(leaf) for name, (_, leaf) in zip(paths, self._paths, strict=True)})
         self._shapes = dict(self._example[1])
         self.time, self.number = names.time or TIME, names.number
         self.needed = tuple(name for name in self.inputs if name != STEP)
