@@ -104,17 +104,18 @@ class Form:
         self.timed = timed
         self._y: Any = y
         self.by_name = isinstance(y, Mapping)
-        self.columns: tuple[str, ...] = names.columns or (tuple(y) if isinstance(y, Mapping) else (MEASURED,))
+        self.columns: tuple[str, ...] = names.columns or (tuple(map(str, y)) if isinstance(y, Mapping) else (MEASURED,))
         self._paths = jax.tree_util.tree_flatten_with_path(u)[0] if u is not None else []
         self._structure = None if u is None else jax.tree.structure(u)
         paths = tuple(".".join(path_names(path)) or INPUTS for path, _ in self._paths)
         self.inputs = paths if u is not None else names.inputs
-        self._example: tuple[Any, dict[str, tuple[int, ...]]] = (y, {name: np.shape(leaf) for name, (_, leaf) in zip(paths, self._paths, strict=True)})
-        self._shapes = dict(self._example[1])
+        shapes: dict[str, tuple[int, ...]] = {name: np.shape(leaf) for name, (_, leaf) in zip(paths, self._paths, strict=True)}
+        self._example = (y, shapes)
+        self._shapes = dict(shapes)
         self.time, self.number = names.time or TIME, names.number
         self.needed = tuple(name for name in self.inputs if name != STEP)
         self.fields = names.fields or (*([self.number] if self.number else []), self.time, *self.columns, *self.needed)
-        self._kept = dict.fromkeys((*([self.number] if self.number else []), self.time, *self.columns, *self.inputs))
+        self._kept: dict[str, None] = dict.fromkeys((*([self.number] if self.number else []), self.time, *self.columns, *self.inputs))
         self.held: dict[str, Any] = {}
         self._kind = jnp.result_type(float)
 
