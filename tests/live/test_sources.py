@@ -69,6 +69,10 @@ def test_an_example_gives_messages_their_form():
     (b'{"a": [1, 2], "b": 3, "speed": 1}', "shape (3,), expected (2,)"), (b'{"a": {"x": 1}, "speed": 1}', "'a' is no number"),
     (b'{"a": ' + 5000 * b"[" + 5000 * b"]" + b', "speed": 1}', ""), (b'{"t": NaN, "a": 1, "speed": 1}', "'t'"),
     (b"1_0,2,3,4,5", "neither"), (b'{"k": 1.5, "a": 1, "speed": 1}', "'k' is no whole number: 1.5"),
+    (b'{"t": ' + 400 * b"7" + b', "a": 1, "speed": 1}', "'t' is beyond 1e+12"), (b'{"t": 1.7e18, "a": 1, "speed": 1}', "beyond 1e+12"),
+    (b'{"k": ' + 400 * b"7" + b', "a": 1, "speed": 1}', "'k' is beyond"), (b'{"a": [[1]], "b": 0, "speed": 1}', "'a'"),
+    (b'{"a": [' + 400 * b"7" + b'], "b": 0, "speed": 1}', "'a'"), (b'{"speed": [1, 2, 3]}', "the input 'speed' of shape (3,), expected ()"),
+    (b'{"a": ' + 900 * b"[" + 900 * b"]" + b', "speed": 1}', "deeper than 32 levels"), (b'{"\\n\\u001b[2J": 1}', "but '\\n\\x1b[2J'"),
     (b'{"k": 1.5e300, "a": true, "b": "", "speed": 1}', ""),
 ])  # fmt: skip
 def test_what_is_no_message_is_told_in_words(line, why):
@@ -89,10 +93,11 @@ def test_lines_of_a_file_have_positions_and_the_last_may_lack_its_end(tmp_path):
     path.write_bytes(b"\n".join([text(0), b"no message", text(1), b"", text(2)]))
     source = of_file(str(path), Form(FORM))
     found = heard(source, 3)
+    assert source.position == path.stat().st_size + 1
     assert [one.number for one in found] == [0, 1, 2] and source.counts.of["unreadable"] == 1
     source.close()
     again = of_file(str(path), Form(FORM))
-    again.go_on(found[0].position)
+    again.go_on(len(text(0)) + 1)
     assert [one.number for one in heard(again, 2)] == [1, 2] and again.receive(0.0) is None
     again.close()
 
@@ -170,7 +175,7 @@ def test_recordings_are_replayed_at_their_speed():
     assert [one.y[0] for one in found] == list(range(6)) and found[2].u["push"] == 2 and fast.receive(0) is None
     began = time.monotonic()
     paced = Replay("rows", ys, None, 100.0 + 0.1 * np.arange(6), speed=5.0)
-    assert len(heard(paced, 6)) == 6 and 0.09 < time.monotonic() - began < 5 and found[3].position == 4
+    assert len(heard(paced, 6)) == 6 and 0.09 < time.monotonic() - began < 5 and paced.position == 6
     paced.go_on(4)
     assert [one.content for one in heard(paced, 2)] == [4, 5]
 
@@ -281,3 +286,26 @@ def test_parquet_grows_by_whole_row_groups(tmp_path, monkeypatch):
     out.write(row(9))
     out.close()
     assert steps() == [0, 1, 2, 9] and len(list(path.glob("*"))) == 1 and not list(Path(path).glob(".*"))
+
+
+@pytest.mark.parametrize("bad", [b'{"speed": "abc"}', b'{"speed": [1, 2]}', b'{"a": "x", "b": 0, "speed": 99}',
+                                 b'{"a": [1, 2], "speed": 99}'])  # fmt: skip
+def test_inputs_of_a_message_that_is_refused_do_not_hold(bad):
+    form = Form(FORM)
+    form.read(b'{"a": 1, "b": 2, "speed": 7}')
+    with pytest.raises(Unreadable):
+        form.read(bad)
+    assert form.read(b'{"a": 1, "b": 2}').u["speed"] == 7
+
+
+def test_a_message_keeps_only_what_is_asked_for():
+    form = Form(FORM)
+    found = form.read(b'\xef\xbb\xbf{"t": 1, "pad": ' + 900 * b"[" + 900 * b"]" + b', "a": 1, "speed": 2}')
+    assert found.content == {"t": 1, "a": 1, "speed": 2} and found.y.shape == (2,)
+    assert form.read(b"\xef\xbb\xbf3,0.5,1,2,3").number == 3
+    with pytest.raises(Unreadable, match="'dt' is less than nothing"):
+        Form(Names(("a",), ("dt",))).read(b'{"a": 1, "dt": -1}')
+    named = Form(Names(), {"radar": np.zeros(2), "baro": np.zeros(1)})
+    assert named.read(b'{"baro": 3}').y["baro"].tolist() == [3]
+    with pytest.raises(Unreadable, match="'radar' of shape"):
+        named.read(b'{"radar": [1, 2, 3]}')

@@ -13,6 +13,8 @@ WORDS = {
     "late": "{} late, taken at their place",
     "dropped": "{} too late, dropped",
     "sorted": "{} late, brought in order while they waited",
+    "backward": "{} whose time was before that of the one before",
+    "wild": "{} with a number far ahead of the time, dropped",
     "jumps": "{} jumps of the clock",
     "unreadable": "{} not readable",
     "refused": "{} refused by the model",

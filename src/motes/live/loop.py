@@ -104,7 +104,7 @@ class Run:
         self.sinks = [Guarded(sink) for sink in sinks]
         self.watchers, self.checkpoint = list(watchers), checkpoint
         self.stream: Stream | None = None
-        self._last: Message | None = None
+        self._last: Any = None
         self._budget = budget
         self._filter: Filter | None = None
         self._pace: pace.Pace | None = None
@@ -129,12 +129,12 @@ class Run:
         again = self.order.go_on(beside["order"], self.source.message)
         self.order.taken(again[0])
         for placed in again[1:]:
-            self._step(placed)
+            self._step(placed, again=True)
         self.counts.of = Counter(beside["counts"])
         self.source.remember(beside["last"])
-        self._last = self.source.message(beside["last"])._replace(position=beside["position"])
-        if self._last.position is not None:
-            self.source.go_on(self._last.position)
+        self._last, self.source.position = beside["last"], beside["position"]
+        if self.source.position is not None:
+            self.source.go_on(self.source.position)
         LOG.info("goes on after step %d%s.", self.stream.t, "" if self.source.repeats else "; what came since cannot be asked for again")
         if self._budget is not None:
             self._paced()
@@ -150,7 +150,7 @@ class Run:
             self.checkpoint.begin({"sinks": self._kept_by_sinks()})
         inbox = Inbox(self.source)
         saved = heard = time.monotonic()
-        silence = SILENCE
+        silence, unread = SILENCE, 0
         try:
             while not ends():
                 came = inbox.take(POLL)
@@ -163,7 +163,7 @@ class Run:
                 for place, received in enumerate(came):
                     message = self.source.understood(received)
                     if message is not None:
-                        self._last, said = message, True
+                        self._last, said = message.content, True
                         for placed in self._placed(message):
                             self._take(placed)
                     if time.monotonic() - saved > self.settings.checkpoint:
@@ -174,23 +174,28 @@ class Run:
                         break
                 if said:
                     # a batch may have taken long
-                    heard, silence = time.monotonic(), SILENCE
+                    heard, silence, unread = time.monotonic(), SILENCE, 0
                 else:
-                    silence = self._silent(now - heard, silence)
+                    unread += len(came)
+                    silence = self._silent(now - heard, silence, unread)
         finally:
             inbox.close()
             self.save()
             for sink in self.sinks:
                 sink.close()
 
-    def _silent(self, seconds: float, told_after: float) -> float:
-        """Say that nothing comes, or end where patience does; return after how many seconds it is to be said next."""
+    def _silent(self, seconds: float, told_after: float, unread: int) -> float:
+        """Say that nothing comes that can be read, or end where patience does; return after how many seconds it is to be said next."""
         if self.settings.patience and seconds > self.settings.patience:
-            refuse(f"source {self.source.name}", f"a message within {self.settings.patience:g} s", "none",
+            refuse(f"source {self.source.name}", f"a message within {self.settings.patience:g} s",
+                   f"{unread} that could not be read" if unread else "none",
                    "Is it sent there? Set patience = 0 to wait for ever.")  # fmt: skip
         if seconds <= told_after:
             return told_after
-        LOG.warning("nothing has come from %s for %.0f s.", self.source.name, seconds)
+        if unread:
+            LOG.warning("%d messages came from %s for %.0f s, and none could be read.", unread, self.source.name, seconds)
+        else:
+            LOG.warning("nothing has come from %s for %.0f s.", self.source.name, seconds)
         return 2 * told_after
 
     @property
@@ -203,7 +208,7 @@ class Run:
         sinks = self._kept_by_sinks()
         if self.checkpoint is None or self.stream is None or self._last is None or not self.order.window:
             return False
-        beside = {"counts": self.counts.kept(), "order": self.order.kept(), "last": self._last.content, "position": self._last.position,
+        beside = {"counts": self.counts.kept(), "order": self.order.kept(), "last": self._last, "position": self.source.position,
                   "sinks": sinks}  # fmt: skip
         return self.checkpoint.save(self.stream, beside, len(self.order.window) - 1)
 
@@ -225,8 +230,10 @@ class Run:
         if placed.back:
             assert self.stream is not None
             self.stream.back(placed.back)
-        taken = [self._step(one) for one in [placed._replace(back=0, anew=False), *again]]
-        if not taken[0]:
+        taken = self._step(placed._replace(back=0, anew=False))
+        for one in again:
+            self._step(one, again=True)
+        if not taken:
             return
         stream = self.stream
         assert stream is not None and stream.held is not None and stream.info is not None
@@ -245,8 +252,8 @@ class Run:
             gc.freeze()
         self._paced(seconds)
 
-    def _step(self, placed: Placed) -> bool:
-        """Take a step, and tell whether its measurement could be used in any way."""
+    def _step(self, placed: Placed, again: bool = False) -> bool:
+        """Take a step, and tell whether its measurement could be used in any way; one that is taken again was counted before."""
         message = placed.message
         y = message.y
         try:
@@ -260,16 +267,21 @@ class Run:
             return False
         except MotesError as reason:
             self.counts.add("refused", f"{reason}")
+            if self.stream is None:
+                self._work.form.forget()
             return False
         try:
             self.stream.update(y)
         except CollapseError as reason:
-            self.counts.add("collapsed", f"{reason} The measurement is left out.")
+            if not again:
+                self.counts.add("collapsed", f"{reason} The measurement is left out.")
             self.stream.update(None)
         except MotesError as reason:
-            self.counts.add("refused", f"{reason}")
+            if not again:
+                self.counts.add("refused", f"{reason}")
             if self.stream.held is None:
                 self.stream = None
+                self._work.form.forget()
                 return False
             self.stream.update(None)
         self.order.taken(placed)

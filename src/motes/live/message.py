@@ -2,6 +2,7 @@
 
 import json
 import math
+import zlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -15,6 +16,14 @@ from motes.io.columns import number_of
 
 LONGEST = 1 << 16
 """Bytes of a line of text."""
+DEEPEST = 32
+"""Levels of lists within lists, of what a message says."""
+FARTHEST = 1e12
+"""Seconds beyond which there is no time: such are milliseconds or nanoseconds, whose steps would be taken for seconds."""
+HIGHEST = 1 << 63
+"""Number of a message that none reaches."""
+MARK = b"\xef\xbb\xbf"
+"""What some programs write in front of text to say that it is UTF-8."""
 TIME, MEASURED, INPUTS = "time", "y", "u"
 """What is in a message, where nobody gave it another name."""
 STEP = "dt"
@@ -31,7 +40,7 @@ class Message(NamedTuple):
         time: seconds; None where it has none.
         number: of the message; None where it has none.
         arrived: seconds of this machine's clock; None where that says nothing of when it was sent.
-        position: where its source goes on after it; None where that cannot be said.
+        digest: tells it from another one of the same number or time: of what came, without inputs that only held.
     """
 
     content: Any
@@ -40,7 +49,7 @@ class Message(NamedTuple):
     time: float | None = None
     number: int | None = None
     arrived: float | None = None
-    position: int | None = None
+    digest: int = 0
 
 
 class Unreadable(Exception):
@@ -93,20 +102,28 @@ class Form:
             timed: whether a model without an example of inputs gets the time since the step before as u["dt"].
         """
         self.timed = timed
-        self._y, self.by_name = y, isinstance(y, Mapping)
-        self.columns = names.columns or (tuple(y) if isinstance(y, Mapping) else (MEASURED,))
+        self._y: Any = y
+        self.by_name = isinstance(y, Mapping)
+        self.columns: tuple[str, ...] = names.columns or (tuple(map(str, y)) if isinstance(y, Mapping) else (MEASURED,))
         self._paths = jax.tree_util.tree_flatten_with_path(u)[0] if u is not None else []
         self._structure = None if u is None else jax.tree.structure(u)
         paths = tuple(".".join(path_names(path)) or INPUTS for path, _ in self._paths)
         self.inputs = paths if u is not None else names.inputs
-        self._shapes = [np.shape(leaf) for _, leaf in self._paths]
+        shapes: dict[str, tuple[int, ...]] = {name: np.shape(leaf) for name, (_, leaf) in zip(paths, self._paths, strict=True)}
+        self._example = (y, shapes)
+        self._shapes = dict(shapes)
         self.time, self.number = names.time or TIME, names.number
         self.needed = tuple(name for name in self.inputs if name != STEP)
         self.fields = names.fields or (*([self.number] if self.number else []), self.time, *self.columns, *self.needed)
+        self._kept: dict[str, None] = dict.fromkeys((*([self.number] if self.number else []), self.time, *self.columns, *self.inputs))
         self.held: dict[str, Any] = {}
         self._kind = jnp.result_type(float)
 
-    def read(self, text: bytes, position: int | None = None, arrived: float | None = None) -> Message:
+    def forget(self) -> None:
+        """Know the form of nothing but the examples: where the message that showed it could not be used."""
+        self._y, self._shapes = self._example[0], dict(self._example[1])
+
+    def read(self, text: bytes, arrived: float | None = None) -> Message:
         """Make a message of a line.
 
         Raises:
@@ -114,8 +131,9 @@ class Form:
         """
         if len(text) > LONGEST:
             raise Unreadable(f"a message of {len(text)} bytes, expected at most {LONGEST}")
+        text = text.removeprefix(MARK)
         content = _parsed(text)
-        return self.message(self._of_numbers(text) if content is None else content)._replace(position=position, arrived=arrived)
+        return self.message(self._of_numbers(text) if content is None else content)._replace(arrived=arrived)
 
     def message(self, content: dict[str, Any]) -> Message:
         """Make a message of an object.
@@ -123,47 +141,64 @@ class Form:
         Raises:
             Unreadable: it lacks something, or something is no number.
         """
-        content = {name: value for name, value in content.items() if value is not None or name not in self.needed}
-        self.held.update((name, content[name]) for name in self.needed if name in content)
-        lacking = [name for name in self.needed if name not in self.held]
-        measured = any(name in content for name in self.columns)
-        if lacking and measured:
-            raise Early(f"the input {lacking[0]!r} has not come yet")
-        if not measured and not any(name in content for name in self.needed):
-            raise Unreadable(f"none of {', '.join((*self.columns, *self.needed))[:120]} in it, but {', '.join(content)[:120] or 'nothing'}")
-        time = _number(content, self.time)
-        number = _number(content, self.number) if self.number else None
+        # what nobody asked for takes no memory, and is in no checkpoint
+        own = {name: content[name] for name in self._kept if name in content and (content[name] is not None or name not in self.needed)}
+        _check_depth(own)
+        measured = any(name in own for name in self.columns)
+        if not measured and not any(name in own for name in self.needed):
+            keys = ascii(", ".join(content)[:120]) if content else "nothing"
+            raise Unreadable(f"none of {', '.join((*self.columns, *self.needed))[:120]} in it, but {keys}")
+        time = _number(own, self.time, FARTHEST)
+        number = _number(own, self.number, HIGHEST) if self.number else None
         if number is not None and number % 1:
             raise Unreadable(f"{self.number!r} is no whole number: {number!r}")
         # a checkpoint that has this needs nothing else
-        whole = self.held | content
+        whole = self.held | own
+        values = self._values_of_inputs(whole)
+        y = self._measured(own) if measured else None
+        self.held = {name: whole[name] for name in self.needed if name in whole}
         if not measured:
             return Message(whole, None, None, time)
-        return Message(whole, self._measured(content), self._inputs(whole), time, None if number is None else int(number))
+        lacking = [name for name in self.needed if name not in self.held]
+        if lacking:
+            raise Early(f"the input {lacking[0]!r} has not come yet")
+        self._y = y if self._y is None else self._y
+        self._shapes |= {name: value.shape for name, value in values.items()}
+        digest = zlib.crc32(repr(own).encode())
+        return Message(whole, y, self._inputs(values), time, None if number is None else int(number), digest=digest)
 
     def _measured(self, content: dict[str, Any]) -> Any:
         parts = {name: _values(name, content.get(name), missing=True) for name in self.columns}
         if self.by_name:
-            return {name: np.full(np.shape(self._y[name]), np.nan) if content.get(name) is None else part for name, part in parts.items()}
-        if len(parts) == 1 and self._y is not None and content.get(self.columns[0]) is None:
-            return np.full(np.shape(self._y), np.nan)
-        y = next(iter(parts.values())) if len(parts) == 1 else np.concatenate([np.atleast_1d(part) for part in parts.values()])
-        y = np.atleast_1d(y)
-        if self._y is None:
-            self._y = y
-        if y.shape != np.shape(self._y):
+            return {name: _in_form(name, None if content.get(name) is None else part, np.shape(self._y[name]))
+                    for name, part in parts.items()}  # fmt: skip
+        if len(parts) == 1:
+            y = np.atleast_1d(next(iter(parts.values())))
+            if self._y is not None and content.get(self.columns[0]) is None:
+                return np.full(np.shape(self._y), np.nan)
+        else:
+            for name, part in parts.items():
+                if part.ndim > 1:
+                    raise Unreadable(f"{name!r} is no number or list of numbers: {content[name]!a:.60}")
+            y = np.concatenate([np.atleast_1d(part) for part in parts.values()])
+        if self._y is not None and y.shape != np.shape(self._y):
             raise Unreadable(f"measurements of shape {y.shape}, expected {np.shape(self._y)}")
         return y
 
-    def _inputs(self, content: dict[str, Any]) -> Any:
+    def _values_of_inputs(self, content: dict[str, Any]) -> dict[str, np.ndarray]:
+        values = {name: _values(name, content[name]) for name in self.inputs if content.get(name) is not None}
+        for name, value in values.items():
+            if value.shape != self._shapes.get(name, value.shape):
+                raise Unreadable(f"the input {name!r} of shape {value.shape}, expected {self._shapes[name]}")
+        if STEP in values and (values[STEP] < 0).any():
+            raise Unreadable(f"{STEP!r} is less than nothing: {content[STEP]!a:.60}")
+        return values
+
+    def _inputs(self, values: dict[str, np.ndarray]) -> Any:
         if not self.inputs:
             return {} if self._structure is None else None
-        values = {name: _values(name, content[name]) for name in self.inputs if name in content}
         if self._structure is None:
             return values
-        for name, shape in zip(self.inputs, self._shapes, strict=True):
-            if name in values and values[name].shape != shape:
-                raise Unreadable(f"the input {name!r} of shape {values[name].shape}, expected {shape}")
         return jax.tree.unflatten(self._structure, [values.get(name) for name in self.inputs])
 
     def with_step(self, u: Any, seconds: float | None) -> Any:
@@ -222,12 +257,35 @@ def _parsed(text: bytes) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
-def _number(content: dict[str, Any], name: str) -> float | None:
+def _check_depth(content: dict[str, Any]) -> None:
+    level = list(content.values())
+    for _ in range(DEEPEST):
+        level = [inner for one in level if isinstance(one, (list, dict)) for inner in one]
+        if not level:
+            return
+    raise Unreadable(f"nested deeper than {DEEPEST} levels")
+
+
+def _number(content: dict[str, Any], name: str, end: float) -> float | None:
     found = content.get(name)
     if found is None:
         return None
-    if isinstance(found, bool) or not isinstance(found, (int, float)) or not math.isfinite(found):
-        raise Unreadable(f"{name!r} is no finite number: {found!r:.60}")
+    # whole numbers of any length compare with floats; they do not become floats
+    if isinstance(found, bool) or not isinstance(found, (int, float)) or not -math.inf < found < math.inf:
+        raise Unreadable(f"{name!r} is no finite number: {found!a:.60}")
+    if not -end < found < end:
+        raise Unreadable(f"{name!r} is beyond {end:.3g}: {found!a:.60}")
+    return found
+
+
+def _in_form(name: str, found: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a measurement in the shape of its example; NaN for none."""
+    if found is None:
+        return np.full(shape, np.nan)
+    if found.shape != shape and found.size == math.prod(shape) == 1:
+        found = found.reshape(shape)
+    if found.shape != shape:
+        raise Unreadable(f"{name!r} of shape {found.shape}, expected {shape}")
     return found
 
 
@@ -236,7 +294,7 @@ def _values(name: str, found: Any, missing: bool = False) -> np.ndarray:
     try:
         array = np.asarray(checks.as_numbers(name, found), np.float64)
     except (checks.MotesError, ValueError, OverflowError):
-        raise Unreadable(f"{name!r} is no number or list of numbers: {found!r:.60}") from None
+        raise Unreadable(f"{name!r} is no number or list of numbers: {found!a:.60}") from None
     if np.isinf(array).any() or (not missing and np.isnan(array).any()):
-        raise Unreadable(f"{name!r} is not finite: {found!r:.60}")
+        raise Unreadable(f"{name!r} is not finite: {found!a:.60}")
     return array

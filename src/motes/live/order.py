@@ -1,21 +1,25 @@
 """Messages that come twice, late, out of order, or from a clock that was set: where each has its place, or that it has none."""
 
 import heapq
-import zlib
+import statistics
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from motes.core.checks import refuse
 from motes.io.instants import SAME
-from motes.live.counts import LOG, Counts
+from motes.live.counts import Counts
 from motes.live.message import Message
 from motes.live.settings import Live
 
 REMEMBERED = 1000
-"""Messages among which one is a duplicate."""
+"""Messages among which one is a duplicate; and numbers that may be lost at once, however short the time was."""
 STUBBORN = 20
-"""So many messages in a row that are all too late come from a clock that was set back, or a source that began anew."""
+"""So many messages in a row that have no place come from a clock that was set back, or a source that began anew."""
+LOST = 10
+"""Times as many numbers as the usual step says may be lost in a time; what says more is wild."""
+USUAL = 5
+"""Last steps whose median is the usual one: a gap, or one wild time, does not change it."""
 
 
 class Placed(NamedTuple):
@@ -23,7 +27,7 @@ class Placed(NamedTuple):
 
     Attributes:
         message: what came.
-        time: seconds of a clock that was never set; None where it has none.
+        time: seconds; None where it has none.
         back: how many of the last steps come after it.
         anew: whether the filter is to begin anew with it.
     """
@@ -38,8 +42,8 @@ class Order:
     """The rule for the order of messages, and the last ones that were taken.
 
     Attributes:
-        window: those of the last steps, `lag + 1` at most, the present one last.
-        offset: what is added to times, seconds, since clocks were set.
+        window: those of the last steps, `lag + 1` at most, the present one last; where the clock was set, the time of the one before is
+            what the new clock would have said.
     """
 
     def __init__(self, settings: Live, counts: Counts):
@@ -47,36 +51,44 @@ class Order:
         self.settings, self.counts = settings, counts
         self.lag = settings.lag if settings.late == "fold in" else 0
         self.window: deque[Placed] = deque(maxlen=self.lag + 1)
-        self.offset = 0.0
         self._seen: deque[tuple[float, int]] = deque(maxlen=REMEMBERED)
         self._known: set[tuple[float, int]] = set()
         self._waiting: list[tuple[float, int, Message]] = []
         self._came = self._stubborn = 0
-        self._usual = 0.0
+        self._gaps: deque[float] = deque(maxlen=USUAL)
         self._arrived: float | None = None
         self._newest: float | None = None
 
-    def take(self, message: Message) -> Iterable[Placed]:
+    def take(self, message: Message) -> Iterator[Placed]:
         """Give what is to be taken now that a message came, each once the one before was; with "wait" it may be others than this one.
 
         Raises:
             MotesError: the clock of the source was set, and the run is to end then.
         """
         if self.settings.duplicate == "drop" and self._is_known(message):
-            self.counts.add("duplicates", f"{_called(message)} came before and is dropped.")
-            return []
-        if self.settings.late != "wait" or message.time is None:
+            self._stubborn += 1
+            if self._stubborn < STUBBORN:
+                self.counts.add("duplicates", f"{_called(message)} came before and is dropped.")
+                return
+            yield from self.rest()
+            yield self._begun_anew(message)
+        elif self.settings.late != "wait" or message.time is None:
             placed = self._placed(message)
-            return [] if placed is None else [placed]
-        self._came += 1
-        if self._newest is not None and self._newest - self.settings.jump < message.time < self._newest:
-            self.counts.add("sorted")
-        self._newest = message.time if self._newest is None or message.time < self._newest - self.settings.jump else max(
-            self._newest, message.time)  # fmt: skip
-        heapq.heappush(self._waiting, (message.time, self._came, message))
-        return self._due(self._newest - self.settings.wait)
+            if placed is not None:
+                yield placed
+        else:
+            if self._newest is not None and message.time < self._newest - self.settings.jump:
+                # what waits came before the clock was set
+                yield from self.rest()
+                self._newest = None
+            self._came += 1
+            if self._newest is not None and message.time < self._newest:
+                self.counts.add("sorted")
+            self._newest = message.time if self._newest is None else max(self._newest, message.time)
+            heapq.heappush(self._waiting, (message.time, self._came, message))
+            yield from self._due(self._newest - self.settings.wait)
 
-    def rest(self) -> Iterable[Placed]:
+    def rest(self) -> Iterator[Placed]:
         """Give what still waits, in order; where a source has ended."""
         return self._due(float("inf"))
 
@@ -85,11 +97,11 @@ class Order:
         self.window.append(placed)
 
     def since(self, placed: Placed) -> float | None:
-        """Return the seconds from the last step to one that comes next; 0 for the first; None where they are not known."""
+        """Return the seconds from the last step to one that comes next, never less than 0; None where they are not known."""
         if placed.time is None:
             return None
         before = self.window[-1].time if self.window else placed.time
-        return 0.0 if before is None else placed.time - before
+        return 0.0 if before is None else max(0.0, placed.time - before)
 
     def back(self, steps: int) -> list[Placed]:
         """Take the last steps back, and return them in order."""
@@ -103,9 +115,9 @@ class Order:
 
     def kept(self) -> dict[str, Any]:
         """Return what a checkpoint keeps, as JSON can hold it."""
-        return {"window": [(one.message.content, one.message.number, one.time) for one in self.window], "offset": self.offset,
-                "usual": self._usual, "waiting": [message.content for _, _, message in self._waiting], "newest": self._newest,
-                "seen": list(self._seen)}  # fmt: skip
+        return {"window": [(one.message.content, one.message.number, one.time) for one in self.window], "gaps": list(self._gaps),
+                "waiting": [message.content for _, _, message in sorted(self._waiting)], "newest": self._newest, "seen": list(self._seen),
+                "stubborn": self._stubborn}  # fmt: skip
 
     def go_on(self, kept: dict[str, Any], message: Callable[[Any], Message]) -> list[Placed]:
         """Take back what a checkpoint kept, but for the last steps, which it returns: the first was taken before the checkpoint.
@@ -114,7 +126,8 @@ class Order:
             kept: by `kept`.
             message: makes a message of its content.
         """
-        self.offset, self._usual, self._newest = kept["offset"], kept["usual"], kept["newest"]
+        self._newest, self._stubborn = kept["newest"], kept["stubborn"]
+        self._gaps.extend(kept["gaps"])
         for content in kept["waiting"]:
             self._came += 1
             waits = message(content)
@@ -134,8 +147,8 @@ class Order:
         mark = message.number if message.number is not None else message.time
         if mark is None:
             return False
-        # two sensors may measure at one time: the same is what says the same
-        key = (mark, 0 if message.number is not None else zlib.crc32(repr(message.content).encode()))
+        # two sensors may measure at one time, and a source may begin anew: the same is what says the same
+        key = (mark, message.digest)
         if key in self._known:
             return True
         if len(self._seen) == REMEMBERED:
@@ -145,35 +158,51 @@ class Order:
         return False
 
     def _placed(self, message: Message) -> Placed | None:
-        time = None if message.time is None else message.time + self.offset
+        time = message.time
         arrived, self._arrived = self._arrived, message.arrived
         if not self.window:
             return Placed(message, time)
         last = self.window[-1]
-        if time is not None and last.time is not None:
-            passed = time - last.time
+        passed = None if time is None or last.time is None else time - last.time
+        if passed is not None:
             gone = float("inf") if message.arrived is None or arrived is None else message.arrived - arrived
             if passed < -self.settings.jump or passed - gone > self.settings.jump:
                 return self._jumped(message, passed)
+        missing = self._missing(message)
+        if missing > REMEMBERED and missing > LOST * (passed or 0.0) / (self._usual() or float("inf")):
+            return self._without_place(message, "wild", f"{_called(message)} has a number far ahead of the time, and is dropped.")
         back = self._later(message, time)
-        if back == 0:
-            if time is not None and last.time is not None and time > last.time:
-                self._usual = time - last.time
-            if message.number is not None and last.message.number is not None and message.number > last.message.number + 1:
-                self.counts.add("missing", number=message.number - last.message.number - 1)
-            self._stubborn = 0
-            return Placed(message, time)
-        if back < len(self.window):
-            self._stubborn = 0
+        # a number that is older with a time that is newer is of a source that began anew
+        if back and (back == len(self.window) or (passed or 0.0) > SAME):
+            return self._without_place(message, "dropped", f"{_called(message)} came too late and is dropped.")
+        self._stubborn = 0
+        before = self.window[-1 - back].time
+        if time is not None and before is not None and time < before - SAME:
+            self.counts.add("backward", f"the time goes back by {before - time:.3g} s at {_called(message)}, and counts as a step of 0 s.")
+        if back:
             if message.number is not None and self.counts.of["missing"]:
                 self.counts.of["missing"] -= 1
             self.counts.add("late", f"{_called(message)} came late and is taken at its place, {back} steps back.")
             return Placed(message, time, back)
+        if passed is not None and passed > 0:
+            self._gaps.append(passed)
+        if missing > 0:
+            self.counts.add("missing", number=missing)
+        return Placed(message, time)
+
+    def _usual(self) -> float:
+        return statistics.median_low(self._gaps) if self._gaps else 0.0
+
+    def _missing(self, message: Message) -> int:
+        """Return how many numbers are between a message and the last step."""
+        last = self.window[-1].message.number
+        return 0 if message.number is None or last is None else message.number - last - 1
+
+    def _without_place(self, message: Message, kind: str, why: str) -> Placed | None:
         self._stubborn += 1
         if self._stubborn >= STUBBORN:
-            self._stubborn = 0
-            return self._jumped(message, 0.0 if time is None or last.time is None else time - last.time)
-        self.counts.add("dropped", f"{_called(message)} came too late and is dropped.")
+            return self._begun_anew(message)
+        self.counts.add(kind, why)
         return None
 
     def _later(self, message: Message, time: float | None) -> int:
@@ -192,28 +221,31 @@ class Order:
 
     def _jumped(self, message: Message, passed: float) -> Placed:
         way = f"{abs(passed):.3g} s {'ahead' if passed > 0 else 'back'}"
-        said = f"the clock of the source went {way} at {_called(message)}"
+        return self._from_here_on(message, f"the clock of the source went {way} at {_called(message)}")
+
+    def _begun_anew(self, message: Message) -> Placed:
+        return self._from_here_on(message, f"{STUBBORN} messages in a row had no place: the source began anew by {_called(message)}")
+
+    def _from_here_on(self, message: Message, said: str) -> Placed:
         if self.settings.clock_jump == "stop":
-            refuse("live clock_jump", f"times within {self.settings.jump:g} s", f"{way} at {_called(message)}",
+            refuse("live clock_jump", f"messages in order, and times within {self.settings.jump:g} s", said,
                    'Set clock_jump = "bridge" or "begin anew" to go on.')  # fmt: skip
-        last = self.window[-1].time
+        self._stubborn = 0
         self._seen.clear()
         self._known.clear()
-        if self.settings.clock_jump == "begin anew":
+        if self.settings.clock_jump == "begin anew" or not self.window:
             self.counts.add("jumps", f"{said}: the filter begins anew.")
-            self.offset = 0.0
             self.window.clear()
             return Placed(message, message.time, anew=True)
-        self.counts.add("jumps", f"{said}: it counts as the usual step of {self._usual:.3g} s.")
-        if message.time is not None and last is not None:
-            self.offset = last + self._usual - message.time
-        time = None if message.time is None else message.time + self.offset
+        usual = self._usual()
+        self.counts.add("jumps", f"{said}: it counts as the usual step of {usual:.3g} s.")
         # what came before the jump cannot be told from what is late after it
         self.settle()
         present = self.window[-1]
-        self.window[-1] = present._replace(message=present.message._replace(number=None))
-        LOG.debug("times are shifted by %g s", self.offset)
-        return Placed(message, time)
+        # times themselves are never shifted: they would lose digits
+        time = None if message.time is None else message.time - usual
+        self.window[-1] = present._replace(message=present.message._replace(number=None), time=time)
+        return Placed(message, message.time)
 
 
 def _called(message: Message) -> str:

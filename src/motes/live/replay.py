@@ -40,13 +40,14 @@ class Replay(Source):
 
     def understood(self, received: int) -> Message:
         """Return the message of a row."""
+        self.position = received + 1
         return self.message(received)
 
     def message(self, content: Any) -> Message:
         """Return the message of a row."""
         row = int(content)
         y, u = at_step(self._rows, row)
-        return Message(row, y, u, None if self._times is None else float(self._times[row]), position=row + 1)
+        return Message(row, y, u, None if self._times is None else float(self._times[row]), digest=row)
 
     def receive(self, timeout: float) -> Sequence[int] | None:
         """Return the rows whose time has come."""

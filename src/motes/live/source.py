@@ -14,6 +14,7 @@ class Source(ABC):
     Attributes:
         name: as the user gave it.
         counts: what came of its messages.
+        position: where to go on after what was `understood` last, message or not; None where that cannot be said.
     """
 
     waits: ClassVar[bool] = False
@@ -21,11 +22,12 @@ class Source(ABC):
     is_over: ClassVar[bool] = False
     """Whether nothing can be added to what has ended."""
     repeats: bool = False
-    """Whether what was read can be read again, from the position of a message on."""
+    """Whether what was read can be read again, from a position on."""
 
     def __init__(self, name: str):
         """Take the name, and count from nothing."""
         self.name, self.counts = name, Counts()
+        self.position: int | None = None
 
     @abstractmethod
     def receive(self, timeout: float) -> Sequence[Any] | None:
@@ -40,7 +42,7 @@ class Source(ABC):
         """Make a message once more of its content, as a checkpoint has it."""
 
     def go_on(self, position: int) -> None:  # noqa: B027 (most cannot)
-        """Begin where a message said that it goes on after it."""
+        """Begin at what was once the `position`."""
 
     def remember(self, last: Any) -> None:  # noqa: B027 (most need not)
         """Go on as after a message with this content, which a checkpoint kept."""
@@ -67,11 +69,11 @@ class TextSource(Source):
 
     def understood(self, received: Received) -> Message | None:
         """Read a text."""
-        text, position, arrived = received
+        text, self.position, arrived = received
         if not text.strip():
             return None
         try:
-            return self.form.read(text, position, arrived)
+            return self.form.read(text, arrived)
         except Unreadable as reason:
             self.counts.add("early" if isinstance(reason, Early) else "unreadable", f"{self.name}: {reason}.")
             return None
