@@ -1,0 +1,54 @@
+"""What others do to the files of a live run while it runs, or between two runs: emptied, removed, replaced, shared."""
+
+import json
+import os
+
+import pytest
+
+import motes as mo
+from motes.live.json_lines import JSONLines, to_file
+
+
+def steps(path):
+    return [json.loads(line)["step"] for line in path.read_text().splitlines()]
+
+
+def test_what_a_shell_appends_to_is_kept_from_its_end_on(tmp_path):
+    path = tmp_path / "all.jsonl"
+    path.write_text('{"step": 0}\n{"step": 1}\n')
+    file = os.open(path, os.O_WRONLY | os.O_APPEND)
+    sink = JSONLines("standard output", file)
+    kept = sink.kept()
+    sink.write({"step": 2})
+    sink.go_on(kept, cut=True)
+    sink.close()
+    assert steps(path) == [0, 1]
+
+
+def test_a_sink_that_is_emptied_removed_or_replaced_while_it_runs_is_told_and_goes_on(tmp_path, caplog):
+    path = tmp_path / "out.jsonl"
+    sink = to_file(str(path))
+    sink.write({"step": 0})
+    path.write_text("")
+    sink.write({"step": 1})
+    assert steps(path) == [1] and "was cut from 12 to 0 bytes" in caplog.records[-1].getMessage()
+    path.unlink()
+    sink.write({"step": 2})
+    path.rename(tmp_path / "out.1")
+    path.write_text('{"step": "another\'s"}\n')
+    sink.write({"step": 3})
+    assert steps(tmp_path / "out.1") == [2] and steps(path) == ["another's", 3] and len(caplog.records) == 3
+    assert sink.kept() == path.stat().st_size
+    # what is not a whole line long is another file than at the checkpoint
+    sink.go_on(5, cut=True)
+    assert steps(path) == ["another's", 3] and "another file than at the checkpoint" in caplog.records[-1].getMessage()
+    sink.close()
+
+
+def test_a_sink_that_another_run_writes_to_is_refused_until_that_ends(tmp_path):
+    path = tmp_path / "out.jsonl"
+    sink = to_file(str(path))
+    with pytest.raises(mo.FileError, match="a file that no other run writes to, got one in use"):
+        to_file(str(path))
+    sink.close()
+    to_file(str(path)).close()
