@@ -6,7 +6,11 @@ import os
 import pytest
 
 import motes as mo
+from motes.live import parquet
 from motes.live.json_lines import JSONLines, to_file
+from motes.live.lines import of_file
+from motes.live.message import Form, Names
+from motes.live.sink import Guarded
 
 
 def steps(path):
@@ -52,3 +56,39 @@ def test_a_sink_that_another_run_writes_to_is_refused_until_that_ends(tmp_path):
         to_file(str(path))
     sink.close()
     to_file(str(path)).close()
+
+
+def test_a_source_is_known_again_by_what_was_read_of_it(tmp_path):
+    path = tmp_path / "in.jsonl"
+    path.write_text('{"a": 1}\n{"a": 2}')
+    source = of_file(str(path), Form(Names(("a",))))
+    position = source.receive(0.0) and source.receive(0.0)[-1][1]
+    mark = source.mark(position)
+    path.write_text('{"a": 1}\n{"a": 2}\n{"a": 3}\n')
+    source.check(position, mark)
+    for other in ('{"a": 1}\n{"a": 5}\n{"a": 3}\n', '{"a": 1}\n', ""):
+        path.write_text(other)
+        with pytest.raises(mo.FileError, match=f"the file that was read up to byte {position}, got another one, or one that was cut"):
+            source.check(position, mark)
+    source.close()
+
+
+def test_parquet_has_the_same_columns_whatever_comes_and_counts_what_it_could_not_write(tmp_path, monkeypatch, caplog):
+    pq = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "track.parquet"
+    sink = Guarded(parquet.Parquet(str(path)))
+    for step, time, number in ((0, 0.5, None), (1, 2**53 + 1, 7), (2, None, 2**64)):
+        sink.write({"step": step, "time": time, "number": number, "alarm": False})
+    sink.kept()
+    table = pq.read_table(path)
+    assert table["number"].to_pylist() == [None, 7, None] and table["time"].to_pylist() == [0.5, float(2**53), None]
+    assert [str(one) for one in table.schema.types] == ["int64", "double", "int64", "bool"] and not caplog.records
+
+    def failing(*given, **more):
+        raise OverflowError("too much")
+
+    sink.write({"step": 3, "time": 1.0, "number": 8, "alarm": False})
+    monkeypatch.setattr(sink.sink._parquet, "write_table", failing)
+    sink.kept()
+    sink.close()
+    assert sink.lost == 1 and caplog.records[-1].getMessage() == f"sink {path}: 1 records are missing."
