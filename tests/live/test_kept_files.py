@@ -6,10 +6,14 @@ import os
 import pytest
 
 import motes as mo
+from live_parts import folder_of, records, run, texts
+from motes.cli.main import main
 from motes.live import parquet
+from motes.live.checkpoint import Checkpoint
 from motes.live.json_lines import JSONLines, to_file
 from motes.live.lines import of_file
 from motes.live.message import Form, Names
+from motes.live.places import sink_at, sinks_at, source_at
 from motes.live.sink import Guarded
 
 
@@ -92,3 +96,50 @@ def test_parquet_has_the_same_columns_whatever_comes_and_counts_what_it_could_no
     sink.kept()
     sink.close()
     assert sink.lost == 1 and caplog.records[-1].getMessage() == f"sink {path}: 1 records are missing."
+
+
+def test_half_a_line_waits_for_its_end(tmp_path, caplog):
+    path = tmp_path / "in.csv"
+    for last, lines in (("0.2,1.", 1), ('{"a": 1', 1), ('{"a": 12}', 2)):
+        path.write_text("0.1,2\n" + last)
+        source = of_file(str(path), Form(Names(("a",))))
+        found = [*source.receive(0.0), *(source.receive(0.0) or [])]
+        assert len(found) == lines and found[0][1] == 6
+        source.close()
+    assert [one.getMessage() for one in caplog.records] == [f"{path}: the last line has no end and is left out until it has one."] * 2
+
+
+def test_a_closed_stream_and_a_sink_that_is_the_source_are_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    monkeypatch.setattr("sys.stdout", None)
+    for opened in (lambda: source_at("-", Form(Names())), lambda: sink_at("-")):
+        with pytest.raises(mo.MotesError, match="-: expected an open standard stream, got one that is closed"):
+            opened()
+    path = tmp_path / "in.jsonl"
+    path.write_text("{}")
+    with pytest.raises(mo.MotesError, match="expected another file than the source, got the same"):
+        sinks_at([str(path)], str(path))
+
+
+def test_a_checkpoint_that_another_run_uses_is_refused_and_one_that_only_began_refuses_nothing(tmp_path):
+    path = tmp_path / "run.npz"
+    one, other = Checkpoint(path, "one"), Checkpoint(path, "other")
+    one.lock()
+    with pytest.raises(mo.FileError, match="one that no other run uses, got one in use"):
+        other.lock()
+    one.free()
+    other.lock()
+    other.free()
+    one.begin({"sinks": {}})
+    run_of_other = run(texts(3), path)
+    assert not run_of_other.restore()
+
+
+def test_rules_of_order_may_change_between_runs_and_names_and_sizes_may_not(tmp_path, capsys):
+    words = ["run", str(folder_of(tmp_path, lines=5)), "--live.sinks", str(tmp_path / "track.jsonl")]
+    assert main(words) == 0
+    assert main([*words, "--live.clock_jump", "stop", "--live.late", "drop"]) == 0
+    for other in (["--filter.n", "60"], ["--data.columns", "b", "a"]):
+        assert main([*words, *other]) == 2
+        assert "number of particles, names in messages" in capsys.readouterr().err
+    assert len(records(tmp_path / "track.jsonl")) == 5

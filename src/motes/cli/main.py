@@ -79,7 +79,8 @@ def _guarded(name: str, words: list[str]) -> int:
             # in one line, too, and without a place in our own code
             warnings.showwarning = lambda message, *rest, **more: print(f"motes {name}: {message}", file=sys.stderr)
             importlib.import_module(f"motes.cli.{name}").main(words)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except KeyboardInterrupt:
         print(f"motes {name}: interrupted", file=sys.stderr)
         return 130

@@ -43,8 +43,18 @@ class Lines(TextSource):
         piece = os.read(self._file, PIECE)
         if not piece:
             self._ended = True
-            return self._cut(b"\n") if self._rest else None
+            return self._last()
         return self._cut(piece)
+
+    def _last(self) -> Sequence[Received] | None:
+        """Return the last line where it has no end and is whole all the same: an object of JSON; half a number looks like a whole one."""
+        rest = self._rest.strip()
+        if not rest:
+            return None
+        if rest.startswith(b"{") and rest.endswith(b"}"):
+            return self._cut(b"\n")
+        LOG.warning("%s: the last line has no end and is left out%s.", self.name, " until it has one" if self.repeats else "")
+        return None
 
     def _cut(self, piece: bytes) -> Sequence[tuple[bytes, int | None, float | None]]:
         *lines, self._rest = (self._rest + piece).split(b"\n")

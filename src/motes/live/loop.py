@@ -183,8 +183,13 @@ class Run:
         finally:
             inbox.close()
             self.save()
-            for sink in self.sinks:
-                sink.close()
+            self.close()
+
+    def close(self) -> None:
+        """Close the source and the sinks."""
+        self.source.close()
+        for sink in self.sinks:
+            sink.close()
 
     def _silent(self, seconds: float, told_after: float) -> float:
         """Say that nothing comes, or end where patience does; return after how many seconds it is to be said next."""
