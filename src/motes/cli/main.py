@@ -86,7 +86,8 @@ def _guarded(name: str, words: list[str]) -> int:
         return 130
     except BrokenPipeError:
         # the reader of our output has left, as in `motes doctor | head -1`; what is still buffered must not fail again at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if sys.stdout is not None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except (ValueError, RuntimeError, MemoryError) as reason:
         line = _in_one_line(reason)
