@@ -134,6 +134,8 @@ def test_a_checkpoint_that_another_run_uses_is_refused_and_one_that_only_began_r
     one.begin({"sinks": {}})
     run_of_other = run(texts(3), path)
     assert not run_of_other.restore()
+    run([], path).go(lambda: False)
+    assert not path.exists(), "a run that took nothing leaves nothing"
 
 
 def test_rules_of_order_may_change_between_runs_and_names_and_sizes_may_not(tmp_path, capsys):

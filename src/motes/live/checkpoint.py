@@ -6,6 +6,7 @@ The law is that of before the steps that a late message may still go back to; th
 import hashlib
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,6 +67,12 @@ class Checkpoint:
         """Write what is to be known of a run that is killed before its first checkpoint, and tell whether it is there."""
         texts = {"beside": {**beside, "identity": self._identity, "begun": True}}
         return self._written(lambda: write_tree(self.path, {}, texts, "checkpoint"))
+
+    def forget(self) -> None:
+        """Remove what tells of a run that began and took nothing; a checkpoint stays."""
+        if self.step is None:
+            with suppress(OSError):
+                self.path.unlink(missing_ok=True)
 
     def save(self, stream: Stream, beside: dict[str, Any], back: int) -> bool:
         """Write a checkpoint, and tell whether it is there."""

@@ -182,7 +182,8 @@ class Run:
                     silence = self._silent(now - heard, silence)
         finally:
             inbox.close()
-            self.save()
+            if not self.save() and self.checkpoint is not None and self.stream is None:
+                self.checkpoint.forget()
             self.close()
 
     def close(self) -> None:
