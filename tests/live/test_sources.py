@@ -229,7 +229,8 @@ def test_lines_are_whole_also_on_a_full_disk(tmp_path, monkeypatch, caplog):
     out.close()
     assert [json.loads(line)["step"] for line in path.read_text().splitlines()] == [0, 4] and out.lost == 3
     told = [one.getMessage() for one in caplog.records]
-    assert len(told) == 2 and "the disk took 25 of" in told[0] and "works again; 3 records are missing" in told[1]
+    assert len(told) == 3 and "the disk took 25 of" in told[0] and "works again; 3 records are missing" in told[1]
+    assert told[2].endswith("out.jsonl: 3 records are missing.")
 
 
 def test_what_fails_again_after_it_was_well_is_told_again_and_nothing_comes_twice(tmp_path, monkeypatch, caplog):

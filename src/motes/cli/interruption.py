@@ -42,7 +42,8 @@ def heed(name: str) -> None:
     global _name
     _name = name
     # lines that were printed are out when it ends
-    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    if sys.stdout is not None:
+        sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     for number in heard:
@@ -123,5 +124,7 @@ def leave(code: int) -> NoReturn:
     while _ending.locked():
         time.sleep(1)
     for stream in (sys.stdout, sys.stderr):
-        stream.flush()
+        # None where a shell closed it
+        if stream is not None:
+            stream.flush()
     os._exit(code)

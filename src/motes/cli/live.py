@@ -49,9 +49,22 @@ def carried_on(run: "Run", path: Path, done: Callable[[], object] = lambda: None
     Raises:
         MotesError: see `Run.restore` and `Run.go`.
     """
+    assert run.checkpoint is not None
+    run.checkpoint.lock()
+    try:
+        _taken_up(run, path, done)
+    finally:
+        run.checkpoint.free()
+
+
+def _taken_up(run: "Run", path: Path, done: Callable[[], object]) -> None:
     from motes.live.counts import LOG
 
-    run.restore()
+    try:
+        run.restore()
+    except Exception:
+        run.close()
+        raise
     with interruption.saving(interrupts=True):
         try:
             run.go(interruption.is_asked)
@@ -127,11 +140,11 @@ def prepared(wish: Asked, job: "Job", name: str, filter: "Filter", sinks: Sequen
     else:
         source = Replay(wish.application.name, job.ys, job.inputs, job.times, asked.speed)
     try:
-        opened = sinks_at(sinks)
+        opened = sinks_at(sinks, asked.source)
     except Exception:
         source.close()
         raise
-    checkpoint = Checkpoint(path, _told_apart(wish, job, name), u)
+    checkpoint = Checkpoint(path, _told_apart(wish, job, name, filter.fixed_count), u)
     return Run(Work(wish.settings.seed, filter, job.model, form), source, asked, sinks=opened, checkpoint=checkpoint, budget=budget), path
 
 
@@ -190,7 +203,7 @@ def form_of(job: "Job", data: Any, asked: Any) -> "Form":
     return Form(names, y, None if job.inputs is None else at_step(job.inputs, 0), timed=bool(time))
 
 
-def _told_apart(wish: Asked, job: "Job", name: str) -> str:
+def _told_apart(wish: Asked, job: "Job", name: str, count: int | None) -> str:
     """Return what tells a run from others: what it reads and by which rules, and the model where functions can be compared."""
     import jax
 
@@ -200,6 +213,7 @@ def _told_apart(wish: Asked, job: "Job", name: str) -> str:
 
     asked = wish.settings.live
     model = digest_of(lambda: canonical(job.model, *jax.tree.map(one_of, (job.inputs, job.ys))))
-    rules = (asked.columns, asked.time, asked.number, asked.fields, asked.late, asked.lag, asked.wait, asked.duplicate, asked.clock_jump,
-             asked.jump)  # fmt: skip
-    return identity(wish.application.name, name, wish.settings.seed, asked.source, rules, model)
+    form = form_of(job, getattr(wish.settings, "data", None), asked)
+    names = (form.columns, form.inputs, form.time, form.number, form.fields)
+    # what waits is given out again only to a run that waits, too; the other rules may change
+    return identity(wish.application.name, name, count, wish.settings.seed, asked.source, names, asked.late == "wait", model)

@@ -79,13 +79,15 @@ def _guarded(name: str, words: list[str]) -> int:
             # in one line, too, and without a place in our own code
             warnings.showwarning = lambda message, *rest, **more: print(f"motes {name}: {message}", file=sys.stderr)
             importlib.import_module(f"motes.cli.{name}").main(words)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except KeyboardInterrupt:
         print(f"motes {name}: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # the reader of our output has left, as in `motes doctor | head -1`; what is still buffered must not fail again at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if sys.stdout is not None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except (ValueError, RuntimeError, MemoryError) as reason:
         line = _in_one_line(reason)

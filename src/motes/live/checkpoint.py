@@ -6,8 +6,11 @@ The law is that of before the steps that a late message may still go back to; th
 import hashlib
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from filelock import FileLock, Timeout
 
 from motes.core import checks
 from motes.core.checks import FileError
@@ -37,13 +40,39 @@ class Checkpoint:
     def __init__(self, path: Path, identity: str, inputs: Any = None):
         """Take the file, and what tells the run from others; inputs are an example of those of one step, where they are no dictionary."""
         self.path, self._identity, self._inputs = path, identity, inputs
-        self._failed = False
+        self._failed, self._lock = False, FileLock(path.with_suffix(".lock"))
         self.step: int | None = None
+
+    def lock(self) -> None:
+        """Have no other process use the file until this one ends, however it ends.
+
+        Raises:
+            FileError: another uses it.
+        """
+        try:
+            durable_folder(self.path.parent.absolute())
+            self._lock.acquire(blocking=False)
+        except Timeout:
+            checks.refuse(f"checkpoint {label(self.path)}", "one that no other run uses", "one in use",
+                          "Wait for that run, end it, or give this one another folder with --out.", FileError)  # fmt: skip
+        except OSError:
+            # where nothing can be written nothing can be spoilt
+            return
+
+    def free(self) -> None:
+        """Let others use the file again."""
+        self._lock.release()
 
     def begin(self, beside: dict[str, Any]) -> bool:
         """Write what is to be known of a run that is killed before its first checkpoint, and tell whether it is there."""
         texts = {"beside": {**beside, "identity": self._identity, "begun": True}}
         return self._written(lambda: write_tree(self.path, {}, texts, "checkpoint"))
+
+    def forget(self) -> None:
+        """Remove what tells of a run that began and took nothing; a checkpoint stays."""
+        if self.step is None:
+            with suppress(OSError):
+                self.path.unlink(missing_ok=True)
 
     def save(self, stream: Stream, beside: dict[str, Any], back: int) -> bool:
         """Write a checkpoint, and tell whether it is there."""
@@ -59,6 +88,8 @@ class Checkpoint:
         except (OSError, FileError) as reason:
             if not self._failed:
                 said = str(reason).rstrip(".")
+                if isinstance(reason, OSError):
+                    said = f"{label(self.path)}: {reason.strerror}"
                 LOG.warning("checkpoint: %s; the filter goes on%s.", said, "" if self.step is None else f", step {self.step} is kept")
             self._failed = True
             return False
@@ -76,12 +107,15 @@ class Checkpoint:
         remove_leftovers(self.path)
         if not os.path.exists(self.path):
             return None
-        hint = f"Move it away, or set resume = false to begin anew: {label(self.path)}"
+        hint = f"Move it away, or set resume = false (--live.no-resume) to begin anew: {label(self.path)}"
         try:
             beside = read_tree(self.path, "checkpoint")[1].get("beside")
+            if isinstance(beside, dict) and beside.get("begun") and beside.get("identity") != self._identity:
+                # nothing was kept of it that could be lost
+                return None
             if not isinstance(beside, dict) or beside.get("identity") != self._identity:
-                checks.refuse(f"checkpoint {label(self.path)}", "one of this run (source, seed, names and rules for messages)",
-                              "one of another", hint, FileError)  # fmt: skip
+                same = "source, seed, number of particles, names in messages, late = wait or not"
+                checks.refuse(f"checkpoint {label(self.path)}", f"one of this run ({same})", "one of another", hint, FileError)
             if beside.get("begun"):
                 return Kept(None, beside)
             n = beside.get("n")

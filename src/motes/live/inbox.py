@@ -71,10 +71,9 @@ class Inbox:
         self._queue.extendleft(reversed(received))
 
     def close(self) -> None:
-        """End the thread, close the source, and count what was read and not taken, unless it can be read again."""
+        """End the thread, and count what was read and not taken, unless it can be read again."""
         self._ended.set()
         if self._thread is not None:
             self._thread.join(2 * POLL)
-        self._source.close()
         if self._queue and not self._source.repeats:
             self._source.counts.add("left", number=len(self._queue))

@@ -4,17 +4,22 @@ import os
 import stat
 from typing import Any
 
-from motes.io.files import foreign
+from motes.io.archive import POSIX
+from motes.io.files import foreign, reject
+from motes.live.counts import LOG
 from motes.live.sink import Sink, line_of
 
 
 class JSONLines(Sink):
-    """Writes each record as a line, at once."""
+    """Writes each record as a line, at once, behind what is in the file."""
 
-    def __init__(self, name: str, file: int):
-        """Write to an open file, by its number, which is closed in the end."""
+    def __init__(self, name: str, file: int, path: str | None = None):
+        """Write to an open file, by its number, which is closed in the end; with a path to what is there under that name."""
         self.name, self._file = name, file
         self._plain = stat.S_ISREG(os.fstat(file).st_mode)
+        self._path = path if self._plain else None
+        # one that a shell opened with >> stands at its beginning until it is written to
+        self._end = os.lseek(file, 0, os.SEEK_END) if self._plain else 0
 
     def write(self, record: dict[str, Any]) -> None:
         """Write a line; of a file that is full what is only half of one is taken back."""
@@ -23,11 +28,26 @@ class JSONLines(Sink):
             while line:
                 line = line[os.write(self._file, line) :]
             return
+        self._look()
         written = os.write(self._file, line)
         if written < len(line):
             os.ftruncate(self._file, os.lseek(self._file, 0, os.SEEK_CUR) - written)
             os.lseek(self._file, 0, os.SEEK_END)
             raise OSError(f"the disk took {written} of {len(line)} bytes")
+        self._end = os.lseek(self._file, 0, os.SEEK_CUR)
+
+    def _look(self) -> None:
+        """See to it that lines go where the path leads, and to the end: others remove, replace and empty files."""
+        if self._path is not None and not _is_at(self._file, self._path):
+            file = _opened(self._path)
+            os.close(self._file)
+            self._file = file
+            self._end = os.lseek(file, 0, os.SEEK_END)
+            LOG.warning("sink %s: it was removed or replaced; lines go on in the file that is there now.", self.name)
+        size = os.fstat(self._file).st_size
+        if size < self._end:
+            LOG.warning("sink %s: it was cut from %d to %d bytes; lines go on behind these.", self.name, self._end, size)
+            os.lseek(self._file, 0, os.SEEK_END)
 
     def secure(self) -> None:
         """Force the lines to disk."""
@@ -36,14 +56,19 @@ class JSONLines(Sink):
 
     def kept(self) -> int | None:
         """Return how many bytes the lines are."""
-        return os.lseek(self._file, 0, os.SEEK_CUR) if self._plain else None
+        return self._end if self._plain else None
 
     def go_on(self, kept: int | None, cut: bool) -> None:
         """Go on behind the lines that are there, or that were there at the checkpoint."""
-        if self._plain:
-            if cut and kept is not None and kept <= os.fstat(self._file).st_size:
+        if not self._plain:
+            return
+        if cut and kept is not None:
+            size = os.fstat(self._file).st_size
+            if kept <= size and _ends_a_line(self._file, kept):
                 os.ftruncate(self._file, kept)
-            os.lseek(self._file, 0, os.SEEK_END)
+            elif size:
+                LOG.warning("sink %s: it is another file than at the checkpoint; lines go on behind what is in it.", self.name)
+        self._end = os.lseek(self._file, 0, os.SEEK_END)
 
     def close(self) -> None:
         """Close the file."""
@@ -54,9 +79,41 @@ def to_file(path: str) -> JSONLines:
     """Open a file for lines; what is in it stays.
 
     Raises:
-        FileError: it cannot be written.
+        FileError: it cannot be written, or another run writes to it.
     """
     with foreign(path, "a file that can be written"):
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        os.lseek(file, 0, os.SEEK_END)
-        return JSONLines(path, file)
+        return JSONLines(path, _opened(path), path)
+
+
+def _opened(path: str) -> int:
+    """Open a file to write behind what is in it, which no other run does until it is closed."""
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+    if POSIX and stat.S_ISREG(os.fstat(file).st_mode):
+        import fcntl
+
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(file)
+            reject(path, "a file that no other run writes to", "one in use", "Name another, or end the other run.")
+        except OSError:
+            # some file systems have no locks
+            return file
+    return file
+
+
+def _is_at(file: int, path: str) -> bool:
+    """Tell whether an open file is the one that a path leads to."""
+    try:
+        return os.path.samestat(os.fstat(file), os.stat(path))
+    except FileNotFoundError:
+        return False
+
+
+def _ends_a_line(file: int, size: int) -> bool:
+    """Tell whether a line ends at a byte of an open file, or whether that is its beginning."""
+    try:
+        return size == 0 or os.pread(file, 1, size - 1) == b"\n"
+    except OSError:
+        # a shell opened it to be written only
+        return True

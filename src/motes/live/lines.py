@@ -1,5 +1,6 @@
 """Lines of standard input, a file, or a serial line."""
 
+import hashlib
 import os
 import select
 import stat
@@ -14,6 +15,8 @@ from motes.live.source import Received, TextSource
 
 PIECE = 1 << 16
 """Bytes that are read at a time."""
+MARK = 1024
+"""Bytes before a position by which a file is known again."""
 AGAIN = (0.5, 1.0, 2.0, 5.0)
 """Seconds until a line that was broken is opened again, and so on."""
 
@@ -40,8 +43,18 @@ class Lines(TextSource):
         piece = os.read(self._file, PIECE)
         if not piece:
             self._ended = True
-            return self._cut(b"\n") if self._rest else None
+            return self._last()
         return self._cut(piece)
+
+    def _last(self) -> Sequence[Received] | None:
+        """Return the last line where it has no end and is whole all the same: an object of JSON; half a number looks like a whole one."""
+        rest = self._rest.strip()
+        if not rest:
+            return None
+        if rest.startswith(b"{") and rest.endswith(b"}"):
+            return self._cut(b"\n")
+        LOG.warning("%s: the last line has no end and is left out%s.", self.name, " until it has one" if self.repeats else "")
+        return None
 
     def _cut(self, piece: bytes) -> Sequence[tuple[bytes, int | None, float | None]]:
         *lines, self._rest = (self._rest + piece).split(b"\n")
@@ -59,6 +72,23 @@ class Lines(TextSource):
         """Begin at a byte of a plain file."""
         if self.repeats:
             self._at, self._rest = os.lseek(self._file, position, os.SEEK_SET), b""
+
+    def mark(self, position: int) -> str | None:
+        """Return a digest of the last bytes before a position of a plain file, without the end of the line, which may still be missing."""
+        if not self.repeats:
+            return None
+        begin = max(0, position - 1 - MARK)
+        return hashlib.sha256(os.pread(self._file, position - 1 - begin, begin)).hexdigest()[:16]
+
+    def check(self, position: int, mark: str | None) -> None:
+        """See to it that a plain file is the one that was read up to a position.
+
+        Raises:
+            FileError: it is another, or was cut.
+        """
+        if self.repeats and mark is not None and self.mark(position) != mark:
+            reject(self.name, f"the file that was read up to byte {position}", "another one, or one that was cut",
+                   "Give that file, or set resume = false (--live.no-resume) to begin anew with this one.")  # fmt: skip
 
     def close(self) -> None:
         """Close the file."""

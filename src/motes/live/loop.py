@@ -121,6 +121,9 @@ class Run:
         if kept is None:
             return False
         self.stream, beside = kept
+        if beside.get("position") is not None:
+            # before anything is cut
+            self.source.check(beside["position"], beside.get("mark"))
         for guarded in self.sinks:
             guarded.sink.go_on(beside["sinks"].get(guarded.sink.name), cut=self.source.repeats)
         if self.stream is None:
@@ -180,9 +183,15 @@ class Run:
                     silence = self._silent(now - heard, silence, unread)
         finally:
             inbox.close()
-            self.save()
-            for sink in self.sinks:
-                sink.close()
+            if not self.save() and self.checkpoint is not None and self.stream is None:
+                self.checkpoint.forget()
+            self.close()
+
+    def close(self) -> None:
+        """Close the source and the sinks."""
+        self.source.close()
+        for sink in self.sinks:
+            sink.close()
 
     def _silent(self, seconds: float, told_after: float, unread: int) -> float:
         """Say that nothing comes that can be read, or end where patience does; return after how many seconds it is to be said next."""
@@ -208,8 +217,9 @@ class Run:
         sinks = self._kept_by_sinks()
         if self.checkpoint is None or self.stream is None or self._last is None or not self.order.window:
             return False
-        beside = {"counts": self.counts.kept(), "order": self.order.kept(), "last": self._last, "position": self.source.position,
-                  "sinks": sinks}  # fmt: skip
+        position = self.source.position
+        beside = {"counts": self.counts.kept(), "order": self.order.kept(), "last": self._last, "position": position,
+                  "mark": None if position is None else self.source.mark(position), "sinks": sinks}  # fmt: skip
         return self.checkpoint.save(self.stream, beside, len(self.order.window) - 1)
 
     def _kept_by_sinks(self) -> dict[str, int | None]:
@@ -330,7 +340,7 @@ class Run:
         names = stream.model.names
         newest = self.order.window[-1].message
         return {
-            "step": stream.t, "time": newest.time, **({} if newest.number is None else {"number": newest.number}),
+            "step": stream.t, "time": newest.time, **({"number": newest.number} if self._work.form.number else {}),
             **{f"mean {name}": number for name, number in zip(names, numbers, strict=False)},
             **{f"sd {name}": number for name, number in zip(names, numbers[len(names) :], strict=True)},
             "ess": float(info.ess), "log_evidence": float(info.log_evidence), "alarm": bool(info.alarm), "collapsed": bool(info.collapsed),

@@ -19,6 +19,10 @@ ROWS = 10_000
 PART = re.compile(r"part-(\d{8})\.parquet")
 
 
+WHOLE, TRUTHS = ("step", "number", "late"), ("alarm", "collapsed")
+"""Columns of whole numbers and of truth values; all others are numbers."""
+
+
 class Parquet(Sink):
     """Collects records and writes them by row groups."""
 
@@ -54,8 +58,21 @@ class Parquet(Sink):
     def _flush(self) -> None:
         if len(self._rows) > self._written:
             with whole_file(self._part(self._full)) as file:
-                self._parquet.write_table(self._arrow.Table.from_pylist(self._rows), file, write_page_checksum=True)
+                self._parquet.write_table(self._table(), file, write_page_checksum=True)
             self._written = len(self._rows)
+
+    def _table(self) -> Any:
+        """Return the rows as a table whose columns have the same types in every file; what does not fit is null."""
+        arrow = self._arrow
+        types = {**dict.fromkeys(WHOLE, arrow.int64()), **dict.fromkeys(TRUTHS, arrow.bool_())}
+        names = dict.fromkeys(name for row in self._rows for name in row)
+        schema = arrow.schema([(name, types.get(name, arrow.float64())) for name in names])
+        return arrow.Table.from_pylist([{name: _fitting(name, row.get(name)) for name in names} for row in self._rows], schema)
+
+    @property
+    def unwritten(self) -> int:
+        """Number of rows that are in no file yet."""
+        return len(self._rows) - self._written
 
     def secure(self) -> None:
         """Write what is left over."""
@@ -84,3 +101,15 @@ class Parquet(Sink):
     def close(self) -> None:
         """Write what is left over."""
         self._flush()
+
+
+def _fitting(name: str, value: Any) -> Any:
+    """Return a value as its column can hold it; None where it cannot."""
+    if value is None or name in TRUTHS:
+        return value
+    if name in WHOLE:
+        return value if -(2**63) <= value < 2**63 else None
+    try:
+        return float(value)
+    except OverflowError:
+        return None

@@ -3,6 +3,8 @@
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from typing import TextIO
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from motes.core.checks import refuse
@@ -26,7 +28,7 @@ def source_at(address: str, form: Form) -> Source:
         MotesError: the address is none, is in use, or cannot be read.
     """
     if address == "-":
-        return Lines("standard input", form, os.dup(sys.stdin.fileno()))
+        return Lines("standard input", form, _standard("source", sys.stdin))
     kind, host, port, parts = _taken_apart("source", address, SOURCES)
     if kind == "udp":
         if host is None or port is None:
@@ -51,7 +53,7 @@ def sink_at(address: str) -> Sink:
         MotesError: the address is none, is in use, or cannot be written.
     """
     if address == "-":
-        return JSONLines("standard output", os.dup(sys.stdout.fileno()))
+        return JSONLines("standard output", _standard("sink", sys.stdout))
     kind = _taken_apart("sink", address, SINKS)[0]
     if kind in ("tcp", "ipc"):
         return Publisher(address, address)
@@ -60,17 +62,26 @@ def sink_at(address: str) -> Sink:
     return Parquet(address) if address.rstrip("/").endswith(".parquet") else to_file(address)
 
 
-def sinks_at(addresses: Sequence[str]) -> list[Sink]:
-    """Open several sinks; where one cannot be opened, none is left open."""
+def sinks_at(addresses: Sequence[str], source: str = "") -> list[Sink]:
+    """Open several sinks, of which none is the file of the source; where one cannot be opened, none is left open."""
     found: list[Sink] = []
     try:
         for address in addresses:
+            if Path(source).is_file() and Path(address).is_file() and os.path.samefile(source, address):
+                refuse(f"sink {address}", "another file than the source", "the same", "It would read what it writes.")
             found.append(sink_at(address))
     except Exception:
         for sink in found:
             sink.close()
         raise
     return found
+
+
+def _standard(what: str, stream: TextIO | None) -> int:
+    """Return a copy of the file of a standard stream, which Python has as None where it is closed."""
+    if stream is None:
+        refuse(f"{what} -", "an open standard stream", "one that is closed")
+    return os.dup(stream.fileno())
 
 
 def _taken_apart(what: str, address: str, expected: str) -> tuple[str, str | None, int | None, SplitResult]:

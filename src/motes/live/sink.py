@@ -6,7 +6,6 @@ import time
 from abc import ABC, abstractmethod
 from typing import Any
 
-from motes.core.checks import MotesError
 from motes.live.counts import LOG
 
 AGAIN = 10.0
@@ -21,6 +20,11 @@ class Sink(ABC):
     """
 
     name: str
+
+    @property
+    def unwritten(self) -> int:
+        """Number of records that were taken and are not written yet."""
+        return 0
 
     @abstractmethod
     def write(self, record: dict[str, Any]) -> None:
@@ -71,7 +75,8 @@ class Guarded:
         except BrokenPipeError:
             # nobody reads any more
             raise
-        except (OSError, MotesError) as reason:
+        except Exception as reason:
+            # libraries raise nearly anything, and none of it is to end the run
             self._failed(reason)
             self._missing, self.lost = self._missing + 1, self.lost + 1
             return
@@ -84,7 +89,7 @@ class Guarded:
         kept = self.sink.kept()
         try:
             self.sink.secure()
-        except (OSError, MotesError) as reason:
+        except Exception as reason:
             self._failed(reason)
             return kept
         if kept is not None and not self._missing:
@@ -93,11 +98,14 @@ class Guarded:
         return kept
 
     def close(self) -> None:
-        """Close the sink."""
+        """Close the sink, and say how many records it did not take."""
         try:
             self.sink.close()
-        except (OSError, MotesError) as reason:
+        except Exception as reason:
             self._failed(reason)
+            self.lost += self.sink.unwritten
+        if self.lost:
+            LOG.warning("sink %s: %d records are missing.", self.sink.name, self.lost)
 
     def _failed(self, reason: Exception) -> None:
         if not self._fails:

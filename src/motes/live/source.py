@@ -44,6 +44,17 @@ class Source(ABC):
     def go_on(self, position: int) -> None:  # noqa: B027 (most cannot)
         """Begin at what was once the `position`."""
 
+    def mark(self, position: int) -> Any:
+        """Return what the source is known by at a position, as JSON can hold it; None where there is nothing."""
+        return None
+
+    def check(self, position: int, mark: Any) -> None:  # noqa: B027 (most cannot)
+        """See to it that the source is the one that had this mark at a position.
+
+        Raises:
+            FileError: it is another.
+        """
+
     def remember(self, last: Any) -> None:  # noqa: B027 (most need not)
         """Go on as after a message with this content, which a checkpoint kept."""
 
