@@ -9,9 +9,9 @@ alike; ratios are medians of turns.
 
 import argparse
 import asyncio
+import json
 import multiprocessing
 import os
-import re
 import signal
 import sys
 import time
@@ -41,15 +41,18 @@ def pages(address, count, reads):
     async def one():
         async with connect(f"ws://127.0.0.1:{port}/live", origin=f"http://127.0.0.1:{port}", additional_headers={"Cookie": cookie},
                            compression=None, max_size=None) as socket:  # fmt: skip
-            have = -1
+            known = {}
             while True:
-                await socket.send(question(have=have))
+                await socket.send(question(**known))
                 if not reads:
                     socket.transport.pause_reading()
                     await asyncio.sleep(3600)
                 content = await socket.recv()
-                found = re.search(rb'"number": ?(\d+)', content[:2000]) if isinstance(content, bytes) else None
-                have = int(found[1]) if found else have
+                header = json.loads(content[4 : 4 + int.from_bytes(content[:4], "little")])
+                rows = header["rows"]
+                known |= {"generation": rows["generation"], "rows": rows["from"] + rows["count"], "state": header["state"]}
+                if "frame" in header:
+                    known["have"] = header["frame"]["number"]
 
     async def all_of_them():
         await asyncio.gather(*(one() for _ in range(count)))

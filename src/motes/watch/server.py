@@ -32,7 +32,7 @@ SHARE = 0.25
 """Share of a processor that looking may take."""
 LOOKS = 20
 """Last looks, the quickest of which tells what one costs."""
-PER_PAGE = 1e-3
+PER_PAGE = 8e-3
 """Seconds between looks that one more page adds."""
 BEAT = 1.0
 """Seconds after which a question is answered though nothing is new."""
