@@ -16,6 +16,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -31,12 +32,7 @@ def pages(address, count, reads):
     from looked_at import entered, question
     from websockets.asyncio.client import connect
 
-    class Link:
-        pass
-
-    link = Link()
-    link.address = address
-    port, cookie = entered(link)
+    port, cookie = entered(SimpleNamespace(address=address))
 
     async def one():
         async with connect(f"ws://127.0.0.1:{port}/live", origin=f"http://127.0.0.1:{port}", additional_headers={"Cookie": cookie},

@@ -125,12 +125,10 @@ def test_a_closed_stream_and_a_sink_that_is_the_source_are_one_line(tmp_path, mo
 def test_a_checkpoint_that_another_run_uses_is_refused_and_one_that_only_began_refuses_nothing(tmp_path):
     path = tmp_path / "run.npz"
     one, other = Checkpoint(path, "one"), Checkpoint(path, "other")
-    one.lock()
-    with pytest.raises(mo.FileError, match="one that no other run uses, got one in use"):
-        other.lock()
-    one.free()
-    other.lock()
-    other.free()
+    with one.locked(), pytest.raises(mo.FileError, match="one that no other run uses, got one in use"), other.locked():
+        pass
+    with other.locked():
+        pass
     one.begin({"sinks": {}})
     run_of_other = run(texts(3), path)
     assert not run_of_other.restore()

@@ -49,38 +49,31 @@ def carried_on(run: "Run", path: Path, done: Callable[[], object] = lambda: None
     Raises:
         MotesError: see `Run.restore` and `Run.go`.
     """
-    assert run.checkpoint is not None
-    run.checkpoint.lock()
-    try:
-        _taken_up(run, path, done)
-    finally:
-        run.checkpoint.free()
-
-
-def _taken_up(run: "Run", path: Path, done: Callable[[], object]) -> None:
     from motes.live.counts import LOG
 
-    try:
-        run.restore()
-    except Exception:
-        run.close()
-        raise
-    with interruption.saving(interrupts=True):
+    assert run.checkpoint is not None
+    with run.checkpoint.locked():
         try:
-            run.go(interruption.is_asked)
-        finally:
-            LOG.info("%s", run.counts.told())
-        done()
-        step = run.kept_at
-        if interruption.is_asked():
-            if step is not None:
-                interruption.keeps(f"{path} (step {step})")
-            interruption.end()
-    if run.source.is_over:
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
-    elif step is not None:
-        LOG.info("kept in %s (step %d): the same command goes on from there.", path, step)
+            run.restore()
+        except Exception:
+            run.close()
+            raise
+        with interruption.saving(interrupts=True):
+            try:
+                run.go(interruption.is_asked)
+            finally:
+                LOG.info("%s", run.counts.told())
+            done()
+            step = run.kept_at
+            if interruption.is_asked():
+                if step is not None:
+                    interruption.keeps(f"{path} (step {step})")
+                interruption.end()
+        if run.source.is_over:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+        elif step is not None:
+            LOG.info("kept in %s (step %d): the same command goes on from there.", path, step)
 
 
 @contextmanager
@@ -144,7 +137,7 @@ def prepared(wish: Asked, job: "Job", name: str, filter: "Filter", sinks: Sequen
     except Exception:
         source.close()
         raise
-    checkpoint = Checkpoint(path, _told_apart(wish, job, name, filter.fixed_count), u)
+    checkpoint = Checkpoint(path, _told_apart(wish, job, name, filter.fixed_count, form), u)
     return Run(Work(wish.settings.seed, filter, job.model, form), source, asked, sinks=opened, checkpoint=checkpoint, budget=budget), path
 
 
@@ -203,7 +196,7 @@ def form_of(job: "Job", data: Any, asked: Any) -> "Form":
     return Form(names, y, None if job.inputs is None else at_step(job.inputs, 0), timed=bool(time))
 
 
-def _told_apart(wish: Asked, job: "Job", name: str, count: int | None) -> str:
+def _told_apart(wish: Asked, job: "Job", name: str, count: int | None, form: "Form") -> str:
     """Return what tells a run from others: what it reads and by which rules, and the model where functions can be compared."""
     import jax
 
@@ -213,7 +206,6 @@ def _told_apart(wish: Asked, job: "Job", name: str, count: int | None) -> str:
 
     asked = wish.settings.live
     model = digest_of(lambda: canonical(job.model, *jax.tree.map(one_of, (job.inputs, job.ys))))
-    form = form_of(job, getattr(wish.settings, "data", None), asked)
     names = (form.columns, form.inputs, form.time, form.number, form.fields)
     # what waits is given out again only to a run that waits, too; the other rules may change
     return identity(wish.application.name, name, count, wish.settings.seed, asked.source, names, asked.late == "wait", model)

@@ -11,6 +11,7 @@ from motes.diagnostics.consistency import chi_square_band, nees
 from motes.diagnostics.undeclared import undeclared_angles
 from motes.diagnostics.weights import TRUSTED, pareto_k, surviving_ancestors
 from motes.filters import alarm, notices
+from motes.filters.frames import ask_one_run
 from motes.filters.history import History
 
 FAR = 12.5
@@ -43,10 +44,7 @@ def diagnose(history: History, truth: Any = None, angles: tuple[int, ...] = ()) 
     """
     if not isinstance(history, History):
         checks.refuse("diagnose history", "what mo.run gave", type(history).__name__)
-    runs = np.shape(history.info.ess)[:-1]
-    if runs:
-        first = f"jax.tree.map(lambda leaf: leaf[{', '.join('0' * len(runs))}], history)"
-        checks.refuse("diagnose history", "one run", f"{'x'.join(map(str, runs))} runs", f"Judge one by one: the first is {first}.")
+    ask_one_run("diagnose", history, "Judge one by one: the first is jax.tree.map(lambda leaf: leaf[0], history).")
     found = [*notices.notices(history), _scarce(history), _invalid(history), undeclared_angles(history)]
     if not notices.coarseness(history):  # whose errors have another cure than noise
         found += _innovations(history)

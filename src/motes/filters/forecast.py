@@ -18,6 +18,7 @@ from motes.core import checks, random
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.filters import keep
+from motes.filters.frames import ask_one_run
 from motes.filters.history import History
 from motes.filters.interface import Filter
 from motes.filters.predictive import Forecast, Predictive
@@ -85,9 +86,7 @@ def forecast(  # noqa: PLR0913 (a history knows filter and model, but one of a f
     checks.instance("forecast history", history, History, "what mo.run gave, or History.load")
     checks.positive_integer("forecast steps", steps)
     checks.positive_integer("forecast draws", draws)
-    if np.ndim(history.info.ess) != 1:
-        checks.refuse("forecast history", "one run", f"{np.shape(history.info.ess)[0]} of them",
-                      "Write jax.vmap(lambda history: mo.forecast(history, steps))(histories).")  # fmt: skip
+    ask_one_run("forecast", history, "Write jax.vmap(lambda history: mo.forecast(history, steps))(histories).")
     filter, model = _made_by(history, filter, model)
     inputs = _inputs_ahead(history, steps, inputs)
     last = history.last.y

@@ -62,6 +62,13 @@ def seconds_of(history: Any) -> Any:
     return None if history.times is None else np.reshape(history.times, (-1, np.shape(history.times)[-1]))[0]
 
 
+def ask_one_run(asked: str, history: Any, each: str) -> None:
+    """Refuse a history of many runs, as `jax.vmap` gives them; `each` says how to ask of each run."""
+    runs = np.shape(history.info.ess)[:-1]
+    if runs:
+        checks.refuse(f"{asked} history", "one run", f"{' x '.join(map(str, runs))} runs", each)
+
+
 def frame(history: Any) -> Any:
     """Return what `History.to_pandas` gives."""
     info, columns = history.info, {}

@@ -28,7 +28,7 @@ from motes.laws.observed import Observed
 from motes.models.canonical import one_of, shape_of
 from motes.models.interface import Model
 from motes.models.state_space import at_step
-from motes.models.times import Timeline
+from motes.models.times import Timeline, parted
 from motes.native import report
 from motes.resampling import gradients
 from motes.tracing.compiling import jitted, sharing_traces
@@ -101,9 +101,8 @@ def _run_along(
     key: KeyLike, filter: Filter, model: Model, line: Timeline, inputs: Inputs, keep: Keep, after: History | None
 ) -> History:
     """Run over measurements that have times."""
-    if inputs is not None:
-        checks.refuse("run inputs", "none beside a timeline, which has them", "some", "Give them to mo.times(..., inputs=...).")
-    return replace(run(key, filter, model, line.ys, line.inputs, keep, after), times=line.start + line.seconds, labels=line.labels)
+    ys, inputs = parted("run", line, inputs)
+    return replace(run(key, filter, model, ys, inputs, keep, after), times=line.start + line.seconds, labels=line.labels)
 
 
 def _run_through(

@@ -2,10 +2,12 @@
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
+
+from filelock import FileLock, Timeout
 
 from motes.core.checks import FileError, MotesError, refuse
 
@@ -19,6 +21,16 @@ def label(path: str | os.PathLike[str]) -> str:
 def reject(path: str | os.PathLike[str], expected: str, given: object, hint: str = "") -> NoReturn:
     """Raise a FileError that names the file, what was expected, what it holds and what to do."""
     refuse(label(path), expected, given, hint, FileError)
+
+
+def lock(path: Path, refused: Callable[[], NoReturn]) -> FileLock:
+    """Take a lock, which the system frees when the process ends, however it ends; `refused` says that another process has it."""
+    found = FileLock(path)
+    try:
+        found.acquire(blocking=False)
+    except Timeout:
+        refused()
+    return found
 
 
 def look(path: str | os.PathLike[str], count: int) -> tuple[int, bytes]:

@@ -5,19 +5,17 @@ The law is that of before the steps that a late message may still go back to; th
 
 import hashlib
 import os
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
-
-from filelock import FileLock, Timeout
+from typing import Any, NamedTuple, NoReturn
 
 from motes.core import checks
 from motes.core.checks import FileError
 from motes.filters.interface import Filter
 from motes.filters.stream import Stream
 from motes.io.archive import durable_folder, read_tree, write_tree
-from motes.io.files import label
+from motes.io.files import label, lock
 from motes.io.unfinished import remove_leftovers
 from motes.live.counts import LOG
 
@@ -40,28 +38,27 @@ class Checkpoint:
     def __init__(self, path: Path, identity: str, inputs: Any = None):
         """Take the file, and what tells the run from others; inputs are an example of those of one step, where they are no dictionary."""
         self.path, self._identity, self._inputs = path, identity, inputs
-        self._failed, self._lock = False, FileLock(path.with_suffix(".lock"))
+        self._failed = False
         self.step: int | None = None
 
-    def lock(self) -> None:
-        """Have no other process use the file until this one ends, however it ends.
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Have no other process use the file inside of a `with` block, or until this one ends, however it ends.
 
         Raises:
             FileError: another uses it.
         """
-        try:
-            durable_folder(self.path.parent.absolute())
-            self._lock.acquire(blocking=False)
-        except Timeout:
+
+        def refused() -> NoReturn:
             checks.refuse(f"checkpoint {label(self.path)}", "one that no other run uses", "one in use",
                           "Wait for that run, end it, or give this one another folder with --out.", FileError)  # fmt: skip
-        except OSError:
-            # where nothing can be written nothing can be spoilt
-            return
 
-    def free(self) -> None:
-        """Let others use the file again."""
-        self._lock.release()
+        with ExitStack() as held:
+            # where nothing can be written nothing can be spoilt
+            with suppress(OSError):
+                durable_folder(self.path.parent.absolute())
+                held.callback(lock(self.path.with_suffix(".lock"), refused).release)
+            yield
 
     def begin(self, beside: dict[str, Any]) -> bool:
         """Write what is to be known of a run that is killed before its first checkpoint, and tell whether it is there."""
@@ -87,9 +84,7 @@ class Checkpoint:
             write()
         except (OSError, FileError) as reason:
             if not self._failed:
-                said = str(reason).rstrip(".")
-                if isinstance(reason, OSError):
-                    said = f"{label(self.path)}: {reason.strerror}"
+                said = f"{label(self.path)}: {reason.strerror}" if isinstance(reason, OSError) else str(reason).rstrip(".")
                 LOG.warning("checkpoint: %s; the filter goes on%s.", said, "" if self.step is None else f", step {self.step} is kept")
             self._failed = True
             return False

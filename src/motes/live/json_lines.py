@@ -39,7 +39,7 @@ class JSONLines(Sink):
     def _look(self) -> None:
         """See to it that lines go where the path leads, and to the end: others remove, replace and empty files."""
         if self._path is not None and not _is_at(self._file, self._path):
-            file = _opened(self._path)
+            file = _to_append(self._path)
             os.close(self._file)
             self._file = file
             self._end = os.lseek(file, 0, os.SEEK_END)
@@ -82,10 +82,10 @@ def to_file(path: str) -> JSONLines:
         FileError: it cannot be written, or another run writes to it.
     """
     with foreign(path, "a file that can be written"):
-        return JSONLines(path, _opened(path), path)
+        return JSONLines(path, _to_append(path), path)
 
 
-def _opened(path: str) -> int:
+def _to_append(path: str) -> int:
     """Open a file to write behind what is in it, which no other run does until it is closed."""
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
     if POSIX and stat.S_ISREG(os.fstat(file).st_mode):

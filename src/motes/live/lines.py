@@ -56,7 +56,7 @@ class Lines(TextSource):
         LOG.warning("%s: the last line has no end and is left out%s.", self.name, " until it has one" if self.repeats else "")
         return None
 
-    def _cut(self, piece: bytes) -> Sequence[tuple[bytes, int | None, float | None]]:
+    def _cut(self, piece: bytes) -> Sequence[Received]:
         *lines, self._rest = (self._rest + piece).split(b"\n")
         if len(self._rest) > 2 * LONGEST:
             # no line ends so late: what follows is its rest
@@ -156,7 +156,7 @@ class Serial(TextSource):
         arrived = time.monotonic()
         return self._broken("the line was closed") if found is None else [(text, None, arrived) for text, _, _ in found]
 
-    def _broken(self, why: str) -> list[tuple[bytes, int | None, float | None]]:
+    def _broken(self, why: str) -> list[Received]:
         if self._lines is not None:
             LOG.warning("%s: %s; it is opened again when it is there.", self.name, why)
         self.close()

@@ -327,7 +327,7 @@ class Run:
         placed = self.order.window[-1]
         message = placed.message
         try:
-            u = self._work.form.with_step(message.u, None if placed.time is None else 0.0)
+            u = self._work.form.with_step(message.u, None if message.time is None else 0.0)
             stream = self._begun(u, filter)
             for _ in range(2):
                 stream.update(message.y)

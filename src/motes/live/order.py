@@ -27,13 +27,11 @@ class Placed(NamedTuple):
 
     Attributes:
         message: what came.
-        time: seconds; None where it has none.
         back: how many of the last steps come after it.
         anew: whether the filter is to begin anew with it.
     """
 
     message: Message
-    time: float | None
     back: int = 0
     anew: bool = False
 
@@ -66,12 +64,11 @@ class Order:
             MotesError: the clock of the source was set, and the run is to end then.
         """
         if self.settings.duplicate == "drop" and self._is_known(message):
-            self._stubborn += 1
-            if self._stubborn < STUBBORN:
+            if self._is_stubborn():
+                yield from self.rest()
+                yield self._begun_anew(message)
+            else:
                 self.counts.add("duplicates", f"{_called(message)} came before and is dropped.")
-                return
-            yield from self.rest()
-            yield self._begun_anew(message)
         elif self.settings.late != "wait" or message.time is None:
             placed = self._placed(message)
             if placed is not None:
@@ -98,10 +95,11 @@ class Order:
 
     def since(self, placed: Placed) -> float | None:
         """Return the seconds from the last step to one that comes next, never less than 0; None where they are not known."""
-        if placed.time is None:
+        time = placed.message.time
+        if time is None:
             return None
-        before = self.window[-1].time if self.window else placed.time
-        return 0.0 if before is None else max(0.0, placed.time - before)
+        before = self.window[-1].message.time if self.window else time
+        return 0.0 if before is None else max(0.0, time - before)
 
     def back(self, steps: int) -> list[Placed]:
         """Take the last steps back, and return them in order."""
@@ -115,7 +113,7 @@ class Order:
 
     def kept(self) -> dict[str, Any]:
         """Return what a checkpoint keeps, as JSON can hold it."""
-        return {"window": [(one.message.content, one.message.number, one.time) for one in self.window], "gaps": list(self._gaps),
+        return {"window": [(one.message.content, one.message.number, one.message.time) for one in self.window], "gaps": list(self._gaps),
                 "waiting": [message.content for _, _, message in sorted(self._waiting)], "newest": self._newest, "seen": list(self._seen),
                 "stubborn": self._stubborn}  # fmt: skip
 
@@ -135,7 +133,7 @@ class Order:
             heapq.heappush(self._waiting, (waits.time, self._came, waits))
         self._seen.extend((mark, digest) for mark, digest in kept["seen"])
         self._known = set(self._seen)
-        return [Placed(message(content)._replace(number=number), time) for content, number, time in kept["window"]]
+        return [Placed(message(content)._replace(number=number, time=time)) for content, number, time in kept["window"]]
 
     def _due(self, until: float) -> Iterator[Placed]:
         while self._waiting and self._waiting[0][0] <= until:
@@ -161,9 +159,9 @@ class Order:
         time = message.time
         arrived, self._arrived = self._arrived, message.arrived
         if not self.window:
-            return Placed(message, time)
-        last = self.window[-1]
-        passed = None if time is None or last.time is None else time - last.time
+            return Placed(message)
+        last = self.window[-1].message.time
+        passed = None if time is None or last is None else time - last
         if passed is not None:
             gone = float("inf") if message.arrived is None or arrived is None else message.arrived - arrived
             if passed < -self.settings.jump or passed - gone > self.settings.jump:
@@ -171,24 +169,24 @@ class Order:
         missing = self._missing(message)
         if missing > REMEMBERED and missing > LOST * (passed or 0.0) / (self._usual() or float("inf")):
             return self._without_place(message, "wild", f"{_called(message)} has a number far ahead of the time, and is dropped.")
-        back = self._later(message, time)
+        back = self._later(message)
         # a number that is older with a time that is newer is of a source that began anew
         if back and (back == len(self.window) or (passed or 0.0) > SAME):
             return self._without_place(message, "dropped", f"{_called(message)} came too late and is dropped.")
         self._stubborn = 0
-        before = self.window[-1 - back].time
+        before = self.window[-1 - back].message.time
         if time is not None and before is not None and time < before - SAME:
             self.counts.add("backward", f"the time goes back by {before - time:.3g} s at {_called(message)}, and counts as a step of 0 s.")
         if back:
             if message.number is not None and self.counts.of["missing"]:
                 self.counts.of["missing"] -= 1
             self.counts.add("late", f"{_called(message)} came late and is taken at its place, {back} steps back.")
-            return Placed(message, time, back)
+            return Placed(message, back)
         if passed is not None and passed > 0:
             self._gaps.append(passed)
         if missing > 0:
             self.counts.add("missing", number=missing)
-        return Placed(message, time)
+        return Placed(message)
 
     def _usual(self) -> float:
         return statistics.median_low(self._gaps) if self._gaps else 0.0
@@ -199,21 +197,25 @@ class Order:
         return 0 if message.number is None or last is None else message.number - last - 1
 
     def _without_place(self, message: Message, kind: str, why: str) -> Placed | None:
-        self._stubborn += 1
-        if self._stubborn >= STUBBORN:
+        if self._is_stubborn():
             return self._begun_anew(message)
         self.counts.add(kind, why)
         return None
 
-    def _later(self, message: Message, time: float | None) -> int:
+    def _is_stubborn(self) -> bool:
+        """Count one more message in a row that has no place, and tell whether they are too many."""
+        self._stubborn += 1
+        return self._stubborn >= STUBBORN
+
+    def _later(self, message: Message) -> int:
         """Return how many of the last steps come after a message."""
-        by_number = message.number is not None
+        by_number, time = message.number is not None, message.time
         found = 0
         for placed in reversed(self.window):
             if by_number and placed.message.number is not None:
                 later = placed.message.number > message.number  # type: ignore[operator]
             else:
-                later = time is not None and placed.time is not None and placed.time > time + SAME
+                later = time is not None and placed.message.time is not None and placed.message.time > time + SAME
             if not later:
                 break
             found += 1
@@ -236,16 +238,15 @@ class Order:
         if self.settings.clock_jump == "begin anew" or not self.window:
             self.counts.add("jumps", f"{said}: the filter begins anew.")
             self.window.clear()
-            return Placed(message, message.time, anew=True)
+            return Placed(message, anew=True)
         usual = self._usual()
         self.counts.add("jumps", f"{said}: it counts as the usual step of {usual:.3g} s.")
         # what came before the jump cannot be told from what is late after it
         self.settle()
-        present = self.window[-1]
-        # times themselves are never shifted: they would lose digits
+        # that of the new clock is never shifted: it would lose digits
         time = None if message.time is None else message.time - usual
-        self.window[-1] = present._replace(message=present.message._replace(number=None), time=time)
-        return Placed(message, message.time)
+        self.window[-1] = Placed(self.window[-1].message._replace(number=None, time=time))
+        return Placed(message)
 
 
 def _called(message: Message) -> str:

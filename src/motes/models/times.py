@@ -33,6 +33,19 @@ class Timeline:
     labels: Labels | None = static(default=None)
 
 
+def parted(argument: str, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
+    """Return measurements and inputs; of a timeline its own.
+
+    Raises:
+        MotesError: there are inputs beside a timeline.
+    """
+    if not isinstance(ys, Timeline):
+        return ys, inputs
+    if inputs is not None:
+        checks.refuse(f"{argument} inputs", "none beside a timeline, which has them", "some", "Give them to mo.times(..., inputs=...).")
+    return ys.ys, ys.inputs
+
+
 def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensors: Any) -> Timeline:
     """Bring measurements with time stamps to one line of steps, however uneven.
 

@@ -23,7 +23,7 @@ from motes.filters.particle import ParticleFilter
 from motes.filters.run import run
 from motes.models.canonical import one_of
 from motes.models.interface import Model
-from motes.models.times import Timeline
+from motes.models.times import parted
 from motes.parameters.named import Parameters
 from motes.resampling.differentiable import StopGradient
 from motes.tracing.compiling import jitted
@@ -151,10 +151,7 @@ def likelihood_of(parameters: Parameters, model_of: Any, ys: Any, inputs: Inputs
     if not callable(model_of):
         checks.refuse("fit model_of", "a function of the parameters that returns a model", type(model_of).__name__)
     model = model_at(model_of, parameters.given(jnp.asarray(parameters.values)))
-    if isinstance(ys, Timeline):
-        if inputs is not None:
-            checks.refuse("fit inputs", "none beside a timeline, which has them", "some", "Give them to mo.times(..., inputs=...).")
-        ys, inputs = ys.ys, ys.inputs
+    ys, inputs = parted("fit", ys, inputs)
     sequences = [checked_data(model, *one) for one in _sequences(model, ys, inputs)]
     checks.natural("fit burn", burn)
     shortest = min(steps_of(one) for one, _ in sequences)

@@ -17,7 +17,7 @@ from motes.laws.observed import Observed
 from motes.models.canonical import canonical, one_of, shape_of
 from motes.models.interface import Model
 from motes.models.state_space import at_step, checked_inputs
-from motes.models.times import Timeline
+from motes.models.times import parted
 from motes.smoothers.interface import Smoothed, Smoother, Steps
 from motes.tracing.compiling import jitted
 from motes.tracing.identity import Beside
@@ -50,10 +50,7 @@ def smooth(
     if isinstance(history.state, dict):
         checks.refuse("smooth history", "a history whose laws are known", "one from a file that does not name their kind",
                       "Smooth before saving, or run anew.")
-    if isinstance(ys, Timeline):
-        if inputs is not None:
-            checks.refuse("smooth inputs", "none beside a timeline, which has them", "some", "Give them to mo.times(..., inputs=...).")
-        ys, inputs = ys.ys, ys.inputs
+    ys, inputs = parted("smooth", ys, inputs)
     count = history.info.ess.shape[0]
     inputs = checked_inputs(inputs, count, "history")
     if ys is not None:

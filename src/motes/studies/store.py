@@ -15,15 +15,15 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, NoReturn, Self
 from urllib.parse import quote
 
 import numpy as np
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 from motes.core.checks import FileError, refuse
 from motes.io import archive
-from motes.io.files import foreign, label
+from motes.io.files import foreign, label, lock, reject
 from motes.studies.ledger import SCHEMA, recognize, sound
 
 LEDGER, LOCK, OWNER, KIND = "ledger.sqlite", "lock", "owner", "runs of a study"
@@ -265,15 +265,15 @@ class Store:
 
 
 def _locked(folder: Path) -> FileLock:
-    """Take the lock of a folder, which the system frees when the process ends, however it ends."""
-    lock = FileLock(folder / LOCK)
-    try:
-        lock.acquire(blocking=False)
-    except Timeout:
+    """Take the lock of a folder, and say in it who has it."""
+
+    def refused() -> NoReturn:
         owner = (folder / OWNER).read_text(errors="replace")[:200] if (folder / OWNER).is_file() else "another process"
-        refuse(label(folder), "a store that no other study writes to", f"one in use by {owner}", "Wait for it, or end it.", FileError)
+        reject(folder, "a store that no other study writes to", f"one in use by {owner}", "Wait for it, or end it.")
+
+    found = lock(folder / LOCK, refused)
     (folder / OWNER).write_text(f"process {os.getpid()} on {socket.gethostname()}")
-    return lock
+    return found
 
 
 def _opened(folder: Path, write: bool) -> sqlite3.Connection:

@@ -8,6 +8,7 @@ import sys
 import webbrowser
 from typing import Any
 
+import jax
 import numpy as np
 
 from motes.core import checks
@@ -58,9 +59,10 @@ class Page:
         stream = self.stream
         if stream is None:
             checks.refuse("show", "a page of a stream, as mo.watch(stream) opens it", "one of none yet")
-        if picture is not None and (getattr(picture, "dtype", None) != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3):
-            form = f"{picture.dtype} {picture.shape}" if hasattr(picture, "dtype") else type(picture).__name__
-            checks.refuse("show picture", "an array of uint8, (height, width, 3)", form)
+        if picture is not None:
+            form = f"{picture.dtype} {picture.shape}" if isinstance(picture, (np.ndarray, jax.Array)) else type(picture).__name__
+            if not (form.startswith("uint8 ") and picture.ndim == 3 and picture.shape[2] == 3):
+                checks.refuse("show picture", "an array of uint8, (height, width, 3)", form)
         seconds, time = _number("show seconds", seconds), _number("show time", time)
         if stream.info is not None:
             self._recorder.leave(stream, Step(stream.info, seconds, time), picture)
