@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 import motes as mo
-from motes.live.checkpoint import Checkpoint
+from motes.live.checkpoint import Checkpoint, identity
 from motes.live.loop import Run, Work
 from motes.live.message import Form, Names
 from motes.live.settings import Live
@@ -71,7 +71,7 @@ class Kept(Sink):
 
 def run(lines, path=None, sink=None, filter=FILTER, budget=None, watchers=(), **rules):
     settings, shape = Live(**rules), form()
-    checkpoint = None if path is None else Checkpoint(path, "test")
+    checkpoint = None if path is None else Checkpoint(path, identity(source="-", seed=1))
     return Run(Work(1, filter, MODEL, shape), Given(lines, shape), settings, sinks=[sink or Kept()], watchers=watchers,
                checkpoint=checkpoint, budget=budget)  # fmt: skip
 

@@ -9,7 +9,7 @@ import motes as mo
 from live_parts import folder_of, records, run, texts
 from motes.cli.main import main
 from motes.live import parquet
-from motes.live.checkpoint import Checkpoint
+from motes.live.checkpoint import Checkpoint, identity
 from motes.live.json_lines import JSONLines, to_file
 from motes.live.lines import of_file
 from motes.live.message import Form, Names
@@ -56,7 +56,7 @@ def test_a_sink_that_is_emptied_removed_or_replaced_while_it_runs_is_told_and_go
 def test_a_sink_that_another_run_writes_to_is_refused_until_that_ends(tmp_path):
     path = tmp_path / "out.jsonl"
     sink = to_file(str(path))
-    with pytest.raises(mo.FileError, match="a file that no other run writes to, got one in use"):
+    with pytest.raises(mo.FileError, match="one that no other run writes to, got one in use"):
         to_file(str(path))
     sink.close()
     to_file(str(path)).close()
@@ -85,6 +85,8 @@ def test_parquet_has_the_same_columns_whatever_comes_and_counts_what_it_could_no
     for step, time, number in ((0, 0.5, None), (1, 2**53 + 1, 7), (2, None, 2**64)):
         sink.write({"step": step, "time": time, "number": number, "alarm": False})
     sink.kept()
+    with pytest.raises(mo.FileError, match="track.parquet: expected one that no other run writes to, got one in use"):
+        parquet.Parquet(str(path))
     table = pq.read_table(path)
     assert table["number"].to_pylist() == [None, 7, None] and table["time"].to_pylist() == [0.5, float(2**53), None]
     assert [str(one) for one in table.schema.types] == ["int64", "double", "int64", "bool"] and not caplog.records
@@ -96,6 +98,7 @@ def test_parquet_has_the_same_columns_whatever_comes_and_counts_what_it_could_no
     monkeypatch.setattr(pq, "write_table", failing)
     sink.kept()
     sink.close()
+    parquet.Parquet(str(path)).close()
     assert sink.lost == 1 and caplog.records[-1].getMessage() == f"sink {path}: 1 records are missing."
 
 
@@ -124,7 +127,7 @@ def test_a_closed_stream_and_a_sink_that_is_the_source_are_one_line(tmp_path, mo
 
 def test_a_checkpoint_that_another_run_uses_is_refused_and_one_that_only_began_refuses_nothing(tmp_path):
     path = tmp_path / "run.npz"
-    one, other = Checkpoint(path, "one"), Checkpoint(path, "other")
+    one, other = Checkpoint(path, identity(seed=1)), Checkpoint(path, identity(seed=2))
     with one.locked(), pytest.raises(mo.FileError, match="one that no other run uses, got one in use"), other.locked():
         pass
     with other.locked():
@@ -140,7 +143,7 @@ def test_rules_of_order_may_change_between_runs_and_names_and_sizes_may_not(tmp_
     words = ["run", str(folder_of(tmp_path, lines=5)), "--live.sinks", str(tmp_path / "track.jsonl")]
     assert main(words) == 0
     assert main([*words, "--live.clock_jump", "stop", "--live.late", "drop"]) == 0
-    for other in (["--filter.n", "60"], ["--data.columns", "b", "a"]):
+    for other, what in ((["--filter.n", "60"], "number of particles."), (["--data.columns", "b", "a"], "names in messages.")):
         assert main([*words, *other]) == 2
-        assert "number of particles, names in messages" in capsys.readouterr().err
+        assert f"got one of another {what} Move it away" in capsys.readouterr().err
     assert len(records(tmp_path / "track.jsonl")) == 5

@@ -10,6 +10,7 @@ import motes as mo
 from live_parts import FILTER, MODEL, Given, Kept, form, run, same, texts, went
 from motes.filters.resized import resized
 from motes.live import pace
+from motes.live.checkpoint import identity
 from motes.live.loop import Run, Work
 from motes.live.settings import Live
 
@@ -29,8 +30,8 @@ def test_a_checkpoint_of_another_run_or_a_damaged_one_is_one_line(tmp_path):
     path, lines = tmp_path / "run.npz", texts(5)
     run(lines, path).go(lambda: False)
     other = run(lines, path)
-    other.checkpoint._identity = "other"
-    with pytest.raises(mo.FileError, match="one of this run .*, got one of another. Move it away, or set resume = false"):
+    other.checkpoint._identity = identity(source="-", seed=2, number_of_particles=9)
+    with pytest.raises(mo.FileError, match="one of this run, got one of another seed, number of particles. Move it away, or set resume = false"):
         other.restore()
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(mo.FileError, match="Move it away, or set resume = false"):

@@ -196,7 +196,7 @@ def form_of(job: "Job", data: Any, asked: Any) -> "Form":
     return Form(names, y, None if job.inputs is None else at_step(job.inputs, 0), timed=bool(time))
 
 
-def _told_apart(wish: Asked, job: "Job", name: str, count: int | None, form: "Form") -> str:
+def _told_apart(wish: Asked, job: "Job", name: str, count: int | None, form: "Form") -> dict[str, str]:
     """Return what tells a run from others: what it reads and by which rules, and the model where functions can be compared."""
     import jax
 
@@ -208,4 +208,5 @@ def _told_apart(wish: Asked, job: "Job", name: str, count: int | None, form: "Fo
     model = digest_of(lambda: canonical(job.model, *jax.tree.map(one_of, (job.inputs, job.ys))))
     names = (form.columns, form.inputs, form.time, form.number, form.fields)
     # what waits is given out again only to a run that waits, too; the other rules may change
-    return identity(wish.application.name, name, count, wish.settings.seed, asked.source, names, asked.late == "wait", model)
+    return identity(application=wish.application.name, filter=name, number_of_particles=count, seed=wish.settings.seed, source=asked.source,
+                    names_in_messages=names, policy_of_late_messages=asked.late == "wait", model=model)  # fmt: skip

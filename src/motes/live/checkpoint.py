@@ -35,7 +35,7 @@ class Kept(NamedTuple):
 class Checkpoint:
     """The file of a run's checkpoints; what goes wrong with it is told in one line, and the filter goes on."""
 
-    def __init__(self, path: Path, identity: str, inputs: Any = None):
+    def __init__(self, path: Path, identity: dict[str, str], inputs: Any = None):
         """Take the file, and what tells the run from others; inputs are an example of those of one step, where they are no dictionary."""
         self.path, self._identity, self._inputs = path, identity, inputs
         self._failed = False
@@ -109,8 +109,9 @@ class Checkpoint:
                 # nothing was kept of it that could be lost
                 return None
             if not isinstance(beside, dict) or beside.get("identity") != self._identity:
-                same = "source, seed, number of particles, names in messages, late = wait or not"
-                checks.refuse(f"checkpoint {label(self.path)}", f"one of this run ({same})", "one of another", hint, FileError)
+                kept = beside.get("identity") if isinstance(beside, dict) else None
+                other = [name for name, one in self._identity.items() if not isinstance(kept, dict) or kept.get(name) != one]
+                checks.refuse(f"checkpoint {label(self.path)}", "one of this run", f"one of another {', '.join(other)}", hint, FileError)
             if beside.get("begun"):
                 return Kept(None, beside)
             n = beside.get("n")
@@ -125,6 +126,6 @@ class Checkpoint:
         return Kept(stream, beside)
 
 
-def identity(*parts: Any) -> str:
-    """Return what tells a run from others."""
-    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+def identity(**parts: Any) -> dict[str, str]:
+    """Return what tells a run from others, of each of its parts, whose names are words with "_" for spaces."""
+    return {name.replace("_", " "): hashlib.sha256(repr(part).encode()).hexdigest()[:16] for name, part in parts.items()}

@@ -7,7 +7,7 @@ from typing import Any
 from motes.io.archive import POSIX
 from motes.io.files import foreign, reject
 from motes.live.counts import LOG
-from motes.live.sink import Sink, line_of
+from motes.live.sink import IN_USE, Sink, line_of
 
 
 class JSONLines(Sink):
@@ -95,7 +95,7 @@ def _to_append(path: str) -> int:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(file)
-            reject(path, "a file that no other run writes to", "one in use", "Name another, or end the other run.")
+            reject(path, *IN_USE)
         except OSError:
             # some file systems have no locks
             return file

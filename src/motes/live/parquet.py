@@ -10,9 +10,9 @@ from typing import Any
 
 from motes.core.checks import need
 from motes.io.archive import durable_folder, whole_file
-from motes.io.files import foreign, reject
+from motes.io.files import foreign, lock, reject
 from motes.io.unfinished import remove_leftovers
-from motes.live.sink import Sink
+from motes.live.sink import IN_USE, Sink
 
 ROWS = 10_000
 """Rows of a row group."""
@@ -30,7 +30,7 @@ class Parquet(Sink):
         """Make the folder.
 
         Raises:
-            FileError: it cannot be made, or holds something else.
+            FileError: it cannot be made, holds something else, or another run writes to it.
             MissingExtraError: pyarrow is not installed.
         """
         self.name, self._folder = path, Path(path)
@@ -41,6 +41,8 @@ class Parquet(Sink):
         other = next((one.name for one in self._folder.iterdir() if not one.name.startswith(".") and not PART.fullmatch(one.name)), None)
         if other is not None:
             reject(path, "an empty folder, or one that this wrote", f"{other} in it")
+        with foreign(path, "a folder that can be written"):
+            self._lock = lock(self._folder / ".lock", lambda: reject(path, *IN_USE))
         self._full, self._written = 0, 0
         self._rows: list[dict[str, Any]] = []
         self.go_on(None, cut=False)
@@ -99,8 +101,11 @@ class Parquet(Sink):
             self._written = len(there) if rows is None else 0
 
     def close(self) -> None:
-        """Write what is left over."""
-        self._flush()
+        """Write what is left over, and let others write."""
+        try:
+            self._flush()
+        finally:
+            self._lock.release()
 
 
 def _fitting(name: str, value: Any) -> Any:

@@ -10,6 +10,8 @@ from motes.live.counts import LOG
 
 AGAIN = 10.0
 """Seconds after which a sink that failed is tried again."""
+IN_USE = ("one that no other run writes to", "one in use", "Name another, or end the other run.")
+"""How a file or a folder of another run is refused: what is expected, what was given, what to do."""
 
 
 class Sink(ABC):
