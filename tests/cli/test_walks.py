@@ -56,8 +56,8 @@ def folder(flown, tmp_path, monkeypatch):
     return list(csv.DictReader((flown / "flight.csv").read_text().splitlines()))
 
 
-def told(path):
-    return list(csv.DictReader(Path(path).read_text().splitlines()))
+def told(path, separator=","):
+    return list(csv.DictReader(Path(path).read_text().splitlines(), delimiter=separator))
 
 
 def spelled(row, number, feet=("ins_altitude", "height")):
@@ -83,10 +83,10 @@ def test_feet_commas_local_days_and_codes_by_a_file_that_one_would_guess(folder,
     mean, usual = (mo.History.load(path / "particle.npz").mean for path in (Path("found"), flown))
     # two fixes are missing, so that it differs a little
     assert np.abs(np.asarray(mean)[:4] - np.asarray(usual)[:4]).max() < 1e-1 * np.abs(usual).max()
-    track, before = told("found/track.csv"), told(flown / "track.csv")
+    track, before = told("found/track.csv", ";"), told(flown / "track.csv")
     assert list(track[0]) == ["time", "Nord", "Ost", "Höhe", "sd north, m", "sd east, m", "sd altitude, m", "flags"]
     assert track[0]["time"] == "31.07.2024 23:59:55,000000" and track[20]["time"].startswith("01.08.2024 00:00:01")
-    assert float(track[2]["Höhe"]) * 0.3048 == pytest.approx(float(before[2]["ins_altitude"]), abs=5)
+    assert float(track[2]["Höhe"].replace(",", ".")) * 0.3048 == pytest.approx(float(before[2]["ins_altitude"]), abs=5)
     assert len(track) == FIXES and [float(row["time"]) for row in before[:3]] == pytest.approx([0.0, 0.3, 0.6])
 
 

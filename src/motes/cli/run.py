@@ -13,6 +13,7 @@ from motes.cli import processes
 from motes.cli.asked import Asked, Run, asked
 from motes.cli.options import check_seed, refuse
 from motes.cli.records import build
+from motes.io.dialect import PLAIN, Dialect
 
 if TYPE_CHECKING:
     from motes.applications.interface import Job
@@ -115,16 +116,18 @@ def carried_out(wish: Asked) -> Done:
     scores = {name: job.scores(history) for name, history in histories.items()}
     found = {name: running.results(outcome) | {_key(one): one.value for one in scores[name]} for name, outcome in outcomes.items()}
     _show(job, outcomes, scores, found)
+    written = getattr(settings, "data", None)
+    decimal = written.decimal if isinstance(written, Dialect) else PLAIN.decimal
     for name, history in histories.items():
         running.write_dataset(folder / f"{name}.nc", history, job.clock)
         history.save(folder / f"{name}.npz")
         if smoother is not None:
-            running.write_smoothed(folder / f"{name}_smoothed.csv", settings.seed, smoother, job, history)
+            running.write_smoothed(folder / f"{name}_smoothed.csv", settings.seed, smoother, job, history, decimal)
         track = job.track(history)
         if track is not None:
-            track.save(folder / ("track.csv" if name == next(iter(histories)) else f"{name}_track.csv"))
+            track.save(folder / ("track.csv" if name == next(iter(histories)) else f"{name}_track.csv"), decimal)
         for what, table in job.tables(history).items():
-            table.save(folder / f"{name}_{what}.csv")
+            table.save(folder / f"{name}_{what}.csv", decimal)
     for name, figure in job.pictures(histories).items():
         running.write_figure(folder / name, figure)
     running.write_summary(folder / "summary.json", {"application": wish.application.name}, settings, found)

@@ -147,13 +147,13 @@ def check_smoother(seed: int, smoother: Smoother, filters: Mapping[str, Filter],
         jax.eval_shape(both, jax.random.key(seed))
 
 
-def write_smoothed(path: Path, seed: int, smoother: Smoother, job: Job, history: History) -> None:
-    """Smooth what was filtered, and write means and standard deviations as a table."""
+def write_smoothed(path: Path, seed: int, smoother: Smoother, job: Job, history: History, decimal: str) -> None:
+    """Smooth what was filtered, and write means and standard deviations as a table, with a mark of decimals."""
     found = smooth(seed + 1, smoother, job.model, history, job.ys, job.inputs)
     spread = deviations(np.asarray(found.cov, np.float64))
     columns = ("step", *found.names, *(f"sd {name}" for name in found.names))
     both = np.concatenate([np.asarray(found.mean), spread], axis=1)
-    Table(columns, tuple((step, *map(float, row)) for step, row in enumerate(both))).save(path)
+    Table(columns, tuple((step, *map(float, row)) for step, row in enumerate(both))).save(path, decimal)
 
 
 def write_dataset(path: Path, history: History, clock: Clock) -> None:

@@ -76,22 +76,30 @@ class Table:
         head = " & ".join(map(_latex, self.columns)) + r" \\"
         return "\n".join([rf"\begin{{tabular}}{{{sides}}}", r"\toprule", head, r"\midrule", *lines, r"\bottomrule", r"\end{tabular}", ""])
 
-    def to_csv(self) -> str:
-        """Return the table as CSV with all digits; what cannot be had is an empty cell."""
+    def to_csv(self, decimal: str = ".") -> str:
+        """Return the table as CSV with all digits; what cannot be had is an empty cell.
+
+        Args:
+            decimal: mark of decimals, "." or ","; with the latter columns are parted by semicolons.
+        """
         text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(map(_csv, self.columns))
-        writer.writerows([_csv(cell) for cell in row] for row in self.rows)
+        writer = csv.writer(text, lineterminator="\n", delimiter=";" if decimal == "," else ",")
+        writer.writerow(_csv(name, decimal) for name in self.columns)
+        writer.writerows([_csv(cell, decimal) for cell in row] for row in self.rows)
         return text.getvalue()
 
-    def save(self, path: str | Path) -> Path:
+    def save(self, path: str | Path, decimal: str = ".") -> Path:
         """Write the table as its name ends: .csv, .md or .tex, whole or not at all.
+
+        Args:
+            path: of the file.
+            decimal: mark of decimals in CSV; see `to_csv`.
 
         Raises:
             FileError: the ending is another, or the file cannot be written.
         """
         path = Path(path)
-        forms: dict[str, Callable[[], str]] = {".csv": self.to_csv, ".md": self.to_markdown, ".tex": self.to_latex}
+        forms: dict[str, Callable[[], str]] = {".csv": lambda: self.to_csv(decimal), ".md": self.to_markdown, ".tex": self.to_latex}
         if path.suffix not in forms:
             checks.refuse(str(path), "a name that ends in .csv, .md or .tex", path.suffix or "no ending", error=checks.FileError)
         with whole_file(path) as file:
@@ -136,8 +144,10 @@ def _latex(text: str) -> str:
     return "".join(_LATEX.get(c, c) for c in text)
 
 
-def _csv(cell: Cell) -> Cell:
+def _csv(cell: Cell, decimal: str) -> str | None:
     if isinstance(cell, str):
         # spreadsheets run what begins so
         return f"'{cell}" if cell[:1] in ("=", "+", "-", "@") else cell
-    return None if cell is None or math.isnan(cell) else cell
+    if cell is None or math.isnan(cell):
+        return None
+    return str(cell).replace(".", decimal)
