@@ -73,6 +73,8 @@ def test_comments_and_marks_of_missing_numbers_and_other_forms(tmp_path, text, p
 
 
 TOLD = {
+    "another mark of comments": ("% logger 7\na,b\n1,2\n", ("a line of column names", 'Set comment = "%"')),
+    "names behind another mark": ("// a b\n1 2\n", ("'// a b'", "the line of names has no mark")),
     "names behind a mark": ("# a,b\n1,2\n3,4\n", ("line 2", "Take the mark of comments off")),
     "decimal commas between semicolons": ("a;b\n1,5;2\n", ("line 2", "'a'", 'decimal = ","')),
     "decimal commas between commas": ("a,b\n1,5,2,5\n", ("4 in line 2", "decimal points")),

@@ -25,6 +25,8 @@ DELIMITERS = ",;\t|"
 SEPARATORS = {"tab": "\t", "\\t": "\t", "comma": ",", "semicolon": ";", "space": " ", "spaces": " "}
 """Names of separators."""
 LINE_END = re.compile("\r\n|\r|\n")
+MARKS = re.compile(r"%|//|;|!|--|\*")
+"""What lines of comments begin with elsewhere."""
 _EMPTY = 'An empty cell of a single column is written "".'
 _DECIMAL_COMMA = "If commas stand for decimal points, columns must be apart by another mark, or cells in quotes: save the table so."
 LARGEST = 20_000_000
@@ -125,6 +127,10 @@ def _csv_rows(path: str | os.PathLike[str], data: bytes, dialect: Dialect) -> tu
         names = [name.strip() for name in next(rows)]
         if len(names) > WIDEST:
             reject(path, f"at most {WIDEST} columns", len(names))
+        mark = MARKS.match(first)
+        if mark and _differ(first, more[0] if more else "", delimiter):
+            hint = f"Are lines that begin with {mark[0]} comments? Set comment = \"{mark[0]}\"; the line of names has no mark."
+            reject(path, "a line of column names", repr(first[:60]), hint)
         if all(is_number(name) for name in names):
             hint = "Take the mark of comments off the line of names." if skipped else "Add a line of names."
             reject(path, "a line of column names", f"numbers in line {skipped + 1}: {first[:60]!r}", hint)
@@ -136,6 +142,12 @@ def _delimiter(names: str, row: str) -> str:
     found = max(DELIMITERS, key=lambda mark: len(next(csv.reader([names], delimiter=mark))))
     words = names.split()
     return " " if found not in names and 1 < len(words) == len(row.split()) and not names.lstrip().startswith('"') else found
+
+
+def _differ(names: str, row: str, delimiter: str) -> bool:
+    """Tell whether two lines have other numbers of fields; of words where nothing separates them."""
+    mark = delimiter if delimiter in names else None
+    return len(names.split(mark)) != len(row.split(mark))
 
 
 def _stripped(lines: io.StringIO) -> Iterator[str]:
