@@ -1,6 +1,7 @@
 """What goes wrong in a user's function is told in one line: the function, its file and line, and what to write instead."""
 
 import math
+import random
 
 import jax.numpy as jnp
 import numpy as np
@@ -108,6 +109,52 @@ def test_told_in_one_line(name):
         assert text.startswith("dynamics f(x, u, t): expected a ") and cure in text, text
         assert "test_errors_of_user_functions.py, line " in text, text
     assert refused(lambda: mo.run(0, mo.ParticleFilter(5), model(f, "sensor"), YS)).startswith("sensor f(x, u, t): expected a ")
+
+
+GENERATOR, PLAIN = np.random.default_rng(0), random.Random(0)
+
+
+def of_numpy(x, u, t):
+    return x + np.random.normal(size=2)  # noqa: NPY002
+
+
+def of_a_generator(x, u, t):
+    return x + GENERATOR.normal(size=2)
+
+
+def of_python(x, u, t):
+    return x + random.gauss()
+
+
+def of_an_object(x, u, t):
+    return x + PLAIN.random()
+
+
+@pytest.mark.parametrize("f", [of_numpy, of_a_generator, of_python, of_an_object], ids=lambda f: f.__name__)
+def test_random_numbers_that_would_be_drawn_once(f):
+    own = np.random.default_rng(0)
+    for drawing, part in ((f, "dynamics"), (f, "sensor"), (lambda x, u, t: x * own.random(), "dynamics")):
+        text = refused(lambda: mo.run(0, mo.ParticleFilter(5), model(drawing, part), YS))  # noqa: B023
+        assert text.startswith(f"{part} f(x, u, t): expected a function without random numbers") and ".py, line " in text
+
+
+def test_random_numbers_of_a_model_that_is_fitted():
+    text = refused(lambda: mo.fit(lambda theta: mo.models.local_level(theta["a"] + GENERATOR.random(), 1.0), YS[:, 0], {"a": 1.0}))
+    assert text.startswith("fit model_of(parameters): expected a function without random numbers")
+
+
+def test_numbers_drawn_by_another_thread_are_nothing_of_the_function():
+    times = []
+
+    def disturbed(x, u, t):
+        times.append(t)
+        if len(times) == 1:
+            # what another thread would do meanwhile
+            GENERATOR.random()
+        return x
+
+    mo.structure(model(disturbed))
+    assert len(times) > 1
 
 
 def test_the_line_is_the_one_at_fault():

@@ -2,12 +2,14 @@
 
 import inspect
 import linecache
+import random
 import re
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
 import jax
+import numpy as np
 
 from motes.core.checks import MotesError
 
@@ -24,17 +26,44 @@ def called(role: str, function: Callable[..., Any], *args: Any) -> Any:
         args: its arguments.
 
     Raises:
-        MotesError: it fails, or returns nothing.
+        MotesError: it fails, returns nothing, or draws random numbers, which would be drawn once and be constants from then on.
     """
+    generators = _generators(function)
+    before = _states(generators)
     try:
         found = function(*args)
+        if _states(generators) != before:
+            # another thread may have drawn meanwhile, but hardly twice
+            before = _states(generators)
+            function(*args)
     except MotesError:
         raise
     except Exception as reason:
         raise MotesError(_message(role, function, args, reason)) from None
+    if _states(generators) != before:
+        raise MotesError(f"{role}: expected a function without random numbers of its own, got {_source_of(function)}, which draws some: "
+                         "once, while it is traced, for all steps. Give noise as a law, or Custom(sample=...), which has a key.")
     if found is None:
         raise MotesError(f"{role}: expected a result, got None from {_source_of(function)}. Does it end in return?")
     return found
+
+
+def _generators(function: Any) -> list[Any]:
+    """Return the generators of NumPy and of Python that a function may draw from: those of all, and those that it names."""
+    try:
+        read = inspect.getclosurevars(_innermost(function))
+    except (TypeError, ValueError):
+        return []
+    kinds = (np.random.Generator, np.random.RandomState, random.Random)
+    return [one for one in (*read.nonlocals.values(), *read.globals.values()) if isinstance(one, kinds)]
+
+
+def _states(generators: list[Any]) -> list[str]:
+    """Return the states of generators, and of those that all share."""
+    everyones, shared = random.getstate(), np.random.get_state(legacy=False)  # noqa: NPY002 (is what a user may draw from)
+    own = [one.bit_generator.state if isinstance(one, np.random.Generator) else
+           one.getstate() if isinstance(one, random.Random) else one.get_state(legacy=False) for one in generators]  # fmt: skip
+    return [repr(one) for one in (shared["state"]["pos"], shared["has_gauss"], everyones[1][-1], everyones[2], *own)]
 
 
 def _message(role: str, function: Any, args: tuple[Any, ...], reason: Exception) -> str:
@@ -77,11 +106,17 @@ def _frame(trace: TracebackType | None) -> tuple[str, str] | None:
 
 def _source_of(function: Any) -> str:
     """Return where a function is written."""
-    while hasattr(function, "func") or hasattr(function, "__wrapped__"):
-        function = function.func if hasattr(function, "func") else function.__wrapped__
+    function = _innermost(function)
     code = getattr(function, "__code__", None) or getattr(vars(type(function)).get("__call__"), "__code__", None)
     name = getattr(function, "__name__", type(function).__name__)
     return name if code is None else f"{name}, {_file(code.co_filename)}, line {code.co_firstlineno}"
+
+
+def _innermost(function: Any) -> Any:
+    """Return what was written, without what was put around it."""
+    while hasattr(function, "func") or hasattr(function, "__wrapped__"):
+        function = function.func if hasattr(function, "func") else function.__wrapped__
+    return function
 
 
 def _file(name: str) -> str:
