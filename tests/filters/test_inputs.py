@@ -102,3 +102,11 @@ def test_noise_of_another_law_is_split_where_it_can_be():
     ours = mo.run(0, mo.MarginalizedParticleFilter(n=20_000), model, ys)
     assert np.abs(ours.mean - exact.mean).max() < 0.05
     assert abs(float(ours.log_likelihood - exact.log_likelihood)) < 0.15
+
+
+def test_a_density_of_ones_own_that_can_be_drawn_from_says_at_which_states_it_looks():
+    dynamics = mo.LinearGaussian([[1.0, 1.0], [0.0, 1.0]], np.eye(2))
+    sensor = mo.Custom(lambda key, x, u, t: {"range": x[:1]}, lambda y, x, u, t: -jnp.abs(y["range"][0] - x[0]))
+    model = mo.StateSpaceModel(mo.Gaussian([0.0, 0.0], np.eye(2)), dynamics, sensor, ("position", "velocity"))
+    assert mo.structure(model).linear == (1,)
+    assert mo.structure(mo.StateSpaceModel(model.initial, dynamics, mo.Custom(log_prob=sensor.density))).linear == ()

@@ -101,7 +101,7 @@ def structure(model: StateSpaceModel, inputs: Inputs = None) -> Structure:
         nothing = jnp.zeros((model.measurement_size(inputs) or 0,), model.dtype)
         model, drive = model.independent()
         inputs = drive.of(inputs, inputs, nothing)
-    traced = trace(canonical(model, inputs), inputs)
+    traced = trace(canonical(looked_at(model, inputs, _drawn(model, inputs)), inputs), inputs)
     best = largest(traced, model.size)
     return Structure(best, model.names, _covariance(traced, best, model.size), _reasons(traced, best, model.names))
 
@@ -173,10 +173,12 @@ def looked_at(model: Any, inputs: Inputs, y: Any) -> Any:
     Args:
         model: a model in any form; others than state-space models with a `Custom` sensor come back as they are.
         inputs: of one step, as the model's functions take them.
-        y: one measurement, or its shapes.
+        y: one measurement, or its shapes; None where they are not known.
     """
     sensor = getattr(model, "sensor", None)
-    if not isinstance(model, StateSpaceModel) or not isinstance(sensor, Custom) or sensor.states is not None or sensor.density is None:
+    if y is None or not isinstance(model, StateSpaceModel) or not isinstance(sensor, Custom):
+        return model
+    if sensor.states is not None or sensor.density is None:
         return model
     x, t = jax.ShapeDtypeStruct((model.size,), model.dtype), jax.ShapeDtypeStruct((), jnp.int32)
     digest, own = sensor.digest, sensor.density
@@ -187,6 +189,16 @@ def looked_at(model: Any, inputs: Inputs, y: Any) -> Any:
     found = dependence(density, (value, x, inputs, t), ("fixed", "elements", "whole", "whole"))
     used = found.uses.reshape(-1, model.size + 2).any(axis=0)[: model.size]
     return model if used.all() else replace(model, sensor=replace(sensor, looks=tuple(np.flatnonzero(used).tolist())))
+
+
+def _drawn(model: StateSpaceModel, inputs: Inputs) -> Any:
+    """Return the shapes of a measurement, as a sensor of the user's own draws it; None where it does not."""
+    sensor = model.sensor
+    if not isinstance(sensor, Custom) or sensor.sampler is None:
+        return None
+    X = jax.ShapeDtypeStruct((model.size, 1), model.dtype)
+    y = jax.eval_shape(sensor.sample, jax.random.key(0), X, inputs, jax.ShapeDtypeStruct((), jnp.int32))
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[:-1], leaf.dtype), y)
 
 
 def _some(marks: Any) -> np.ndarray:
