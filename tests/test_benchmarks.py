@@ -127,6 +127,7 @@ def test_tracks_are_counted_as_said(benchmarks):
     assert counted(world, gone, states)[0]
 
 
+@pytest.mark.night
 def test_trackers_are_set_beside_the_genie_and_what_was_asked(benchmarks, monkeypatch):
     import dataclasses
 

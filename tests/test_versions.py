@@ -2,10 +2,13 @@
 
 import sys
 
+import pytest
+
 import newest
 import quick
 
 
+@pytest.mark.night
 def test_flags_that_the_installed_jax_does_not_know_are_left_out():
     unknown = "--xla_motes_knows_no_such_flag=1"
     assert not quick.stands([unknown])  # as it is to be feared: JAX ends the process

@@ -168,6 +168,7 @@ def blocks(folder):
     return len(list(Path(folder).glob("part*.npz"))) if Path(folder).is_dir() else 0
 
 
+@pytest.mark.night
 def test_a_study_of_the_terrain_is_killed_and_goes_on(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)

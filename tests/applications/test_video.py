@@ -337,6 +337,7 @@ def test_a_killed_run_goes_on_with_the_same_bits(tmp_path, monkeypatch):
     assert np.array_equal(np.asarray(ys[14]["sums"]), next(job.ys(14))["sums"]), "what moved is known from the picture before"
 
 
+@pytest.mark.night
 def test_several_targets_are_each_followed_as_if_alone(tmp_path, monkeypatch):
     """Also where the run of both was cut and goes on from what it kept."""
     monkeypatch.setattr(long_runs, "EVERY", 0.0)

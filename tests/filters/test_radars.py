@@ -49,6 +49,7 @@ def scanned(seed):
     return xs, found
 
 
+@pytest.mark.night
 def test_a_bias_is_found_as_a_state_of_the_kalman_filter():
     """To 0.1 degrees within 100 scans, in 19 of 20 runs at least."""
     off = []

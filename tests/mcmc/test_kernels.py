@@ -105,6 +105,7 @@ def test_a_wrong_kernel_is_seen():
     assert furthest(*joint(WithoutBackward(mo.AdditiveGaussian(lambda x, u, t: 0.7 * x + 0.3, jnp.eye(2))))) > 2 * FAR
 
 
+@pytest.mark.night
 def test_multiple_try_of_one_is_metropolis_hastings():
     proposal = examples()["MetropolisHastings"].proposal
     one, other = (mo.sample(3, kernel, TWO_MODES.log_prob, jnp.zeros(2), draws=200, chains=3, burn_in=0)

@@ -224,6 +224,7 @@ def test_whole_numbers_are_drawn_by_proposals_of_whole_numbers():
     assert draws.dtype == np.int32 and abs(draws.mean() - 3) < 4.9 * mcmc.standard_error(draws)
 
 
+@pytest.mark.night
 def test_a_kernel_drawn_now_and_then_learns_its_shape_too():
     wide = mo.Gaussian(jnp.zeros(2), jnp.diag(jnp.array([1.0, 1e4])))
     kernel = mcmc.Mix([mcmc.Adaptive(mcmc.RandomWalkMetropolis(), steps=4_000), mcmc.RandomWalkMetropolis(0.1)], [1, 3])

@@ -10,6 +10,7 @@ import motes as mo
 from motes.filters import run as running
 from motes.filters import stream_steps as streaming
 from motes.models import simulate as simulating
+from tiers import each
 
 
 def model(f, sensor=lambda x, u, t: jnp.sin(x), **changes):
@@ -67,8 +68,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(("build", "make"), CASES.values(), ids=CASES.keys())
-def test_rebuilt_models_compile_nothing_anew(build, make):
+@pytest.mark.parametrize("case", each(CASES, set(CASES) - {"mixed linear", "custom"}))
+def test_rebuilt_models_compile_nothing_anew(case):
+    build, make = case
     programs = (running._run, simulating._simulate, streaming.start, streaming.move, streaming.take_in, streaming.advance)
 
     def everything():

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from motes.core.checks import MotesError
 from motes.models import inertial, mechanization
 from motes.models.inertial import Grade
-from tiers import but_one_in, each
+from tiers import each
 
 LATITUDE, LONGITUDE, HEIGHT = np.radians(36.5), np.radians(-84.2), 1500.0
 STEP = 0.25
@@ -57,7 +57,7 @@ def test_ideal_sensors_of_a_resting_body():
     assert np.allclose(read.rate, inertial.earth_rate(LATITUDE), atol=1e-12)
 
 
-@pytest.mark.parametrize("at", each(range(15), but_one_in(range(15), 3)))
+@pytest.mark.parametrize("at", each(range(15), set(map(str, range(15))) - {"9", "12"}))
 def test_errors_grow_as_the_model_says(at):
     """A small error in each state, put into the mechanization of a weaving flight, against the transition matrices of its steps."""
     true = flight(200)

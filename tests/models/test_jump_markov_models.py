@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import motes as mo
 from motes.filters import run as running
@@ -46,6 +47,7 @@ def test_the_initial_law_of_the_joined_model():
     assert np.allclose(initial.log_prob(jnp.array([5.1, 1.0])), wanted, atol=1e-4)
 
 
+@pytest.mark.night
 def test_equal_models_share_compiled_code_and_a_stream_draws_the_same():
     u, ys = np.full(6, 0.3), np.array([[0.1], [0.2], [9.0], [7.0], [np.nan], [0.4]])
     filter = mo.JumpMarkovFilter(n=8)

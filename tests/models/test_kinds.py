@@ -93,6 +93,7 @@ FILTERS = {
 }  # fmt: skip
 
 
+@pytest.mark.night
 def test_functions_of_the_users_see_the_users_inputs_where_noises_are_correlated():
     seen = []
 

@@ -32,7 +32,7 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", each({name: name for name in CASES}, set(CASES) - {"all", "waves", "regression"}))
+@pytest.mark.parametrize("name", each({name: name for name in CASES}, set(CASES) - {"all"}))
 def test_the_log_likelihood_is_that_of_statsmodels(name, double):
     statsmodels = pytest.importorskip("statsmodels.api", reason="statsmodels is not installed")
     model, words, values = CASES[name]

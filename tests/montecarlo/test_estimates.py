@@ -101,6 +101,7 @@ def test_heavy_weights_are_told():
     assert not found.trusted and float(found.pareto_k) > 0.7 and "heavy weights" in str(found)
 
 
+@pytest.mark.night
 def test_few_points_are_told():
     far = mo.Gaussian(jnp.array([30.0, 0.0]), jnp.eye(2))
     with pytest.warns(MotesWarning, match="few points: only"):

@@ -10,6 +10,7 @@ import pytest
 import motes as mo
 from data import refused
 from motes.laws.sightings import NONE
+from tiers import each
 
 pytestmark = pytest.mark.jax
 STEPS, LANDMARKS, RUNS, LEVEL = 12, 3, 64, 1e-6
@@ -95,7 +96,7 @@ FILTERS = {
 
 
 @pytest.mark.parametrize("linear", [(), ("bias",)], ids=["sampled", "marginalized"])
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", each(list(FILTERS), {"blind"}))
 def test_equals_one_kalman_filter_for_each_choice_of_places(name, linear, recorded, double):
     model, ys = system(linear), mo.sightings(recorded)
     log_evidence, mean, places = exact(recorded)
@@ -131,6 +132,7 @@ def test_sightings_that_nobody_numbered_are_of_the_nearest(recorded):
     assert float(one.log_likelihood) > float(other.log_likelihood)
 
 
+@pytest.mark.night
 def test_more_landmarks_than_there_is_room_for_are_left_out(recorded):
     model = system(birth=lambda x, z: mo.Gaussian(x[:2] + z, here(R)), limit=40.0, landmarks=2, outliers=(0.01, 0.001))
     far = [[(k, z + 30 * np.array([k == 1, k == 2])) for k, z in step] for step in recorded]
@@ -160,6 +162,7 @@ def test_known_places_are_found_and_paths_followed(recorded):
     assert off[1] < off[0] < 1.0, off
 
 
+@pytest.mark.night
 def test_an_empty_map_and_steps_without_sightings(recorded):
     model = system(("bias",))
     for filter in FILTERS.values():

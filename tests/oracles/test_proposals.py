@@ -63,7 +63,7 @@ GUIDED = {
 }
 
 
-@pytest.mark.parametrize("name", each(list(GUIDED), {"unscented", "auxiliary, now and then", "optimal"}))
+@pytest.mark.parametrize("name", each(list(GUIDED), {"unscented", "auxiliary", "auxiliary, now and then", "optimal"}))
 def test_likelihood_and_means_are_those_of_the_kalman_filter(name, double):
     """A state without noise, a row and a component missing; level 1e-6 for the likelihood and for all means together."""
     # scored by p(y | mean), second-stage weights have a variance only where R is wide beside the process noise
@@ -165,6 +165,7 @@ def test_nonlinear_models_against_the_grid(name, state_noise, double):
     check_means(means, exact.mean, 300)
 
 
+@pytest.mark.night
 def test_scores_that_are_no_numbers_leave_no_particle_out(double):
     """Noise of bounded support: p(y | mean) is zero for most particles that can still explain y."""
     model = mo.StateSpaceModel(

@@ -12,6 +12,7 @@ from scipy.stats import norm
 import motes as mo
 from motes.diagnostics.sets import followers
 from motes.laws import association
+from tiers import each
 
 pytestmark = pytest.mark.jax
 
@@ -126,7 +127,7 @@ def exact_moments(m, P, places, plots, p, log_intensity):
 OF_GAUSSIANS = (mo.KalmanFilter(), mo.UnscentedKalmanFilter(), mo.InteractingMultipleModel())
 
 
-@pytest.mark.parametrize("filter", OF_GAUSSIANS, ids=lambda filter: type(filter).__name__)
+@pytest.mark.parametrize("filter", each({type(one).__name__: one for one in OF_GAUSSIANS}, {"InteractingMultipleModel"}))
 def test_gaussian_filters_keep_the_moments_of_all_associations(double, filter):
     """Joint data association of independent linear targets: evidence and each target's mean and covariance are exact."""
     sensor = mo.laws.SeveralTargets(one(detection=0.8, plots=40), (("a", "v_a"), ("c", "b")))
@@ -145,6 +146,7 @@ def test_gaussian_filters_keep_the_moments_of_all_associations(double, filter):
             np.testing.assert_allclose(history.cov[0][np.ix_(states, states)], cov[np.ix_(states, states)], rtol=1e-8, atol=1e-9)
 
 
+@pytest.mark.night
 def test_what_is_correlated_with_a_target_moves_with_it(double):
     """One target whose sensor's bias is a state besides: the same as the filter of the whole."""
     P = np.array([[1.0, 0.3, 0.4], [0.3, 0.5, 0.2], [0.4, 0.2, 2.0]])
@@ -158,7 +160,8 @@ def test_what_is_correlated_with_a_target_moves_with_it(double):
     np.testing.assert_allclose(found.log_likelihood, wanted.log_likelihood, rtol=1e-10)
 
 
-@pytest.mark.parametrize("plots", [[], [0.2, 0.9, -0.4], [0.1, 0.4, 0.45, 2.0, -3.0, *range(900, 920)]], ids=len)
+@pytest.mark.parametrize("plots", each(
+    {"none": [], "few": [0.2, 0.9, -0.4], "many": [0.1, 0.4, 0.45, 2.0, -3.0, *range(900, 920)]}, {"none", "many"}))  # fmt: skip
 def test_clouds_of_targets_are_weighed_by_all_associations(double, plots):
     """As all pairs of particles together would be, brought down to each target: five particles each, all 25 pairs."""
     sensor, rng = several(2, clutter=0.02, plots=30), np.random.default_rng(3)
@@ -198,6 +201,7 @@ def test_messages_between_targets_and_plots(double):
         np.testing.assert_allclose(np.sum(found, axis=1), 1.0, rtol=1e-9)
 
 
+@pytest.mark.night
 def test_many_targets_and_what_is_refused_of_them():
     """Seven targets, more than are summed over, which pass each other in a line: none lost by either filter with a law for each."""
     count, steps = 7, 30
@@ -315,7 +319,7 @@ def test_states_that_two_targets_share_are_refused_however_they_are_spelled():
             mo.StateSpaceModel(base.initial, base.dynamics, mo.laws.SeveralTargets(one, targets), base.names)
 
 
-@pytest.mark.parametrize("several", [True, False])
+@pytest.mark.parametrize("several", each([True, False], {"True"}))
 def test_a_detection_that_reaches_one_has_derivatives(several, double):
     one = mo.Cluttered(mo.AdditiveGaussian(lambda x, u, t: x[:1], [[0.1]]), lambda x, u, t: jax.nn.sigmoid(40 * (x[0] + 1)),
                        clutter=0.1, plots=4)  # fmt: skip
@@ -331,7 +335,7 @@ def test_a_detection_that_reaches_one_has_derivatives(several, double):
     assert np.isfinite(slope) and float(slope) == pytest.approx(float(near), rel=1e-3)
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"], indirect=True)
+@pytest.mark.parametrize("precision", each(["float32", "float64"], {"float32"}), indirect=True)
 def test_messages_of_what_is_hardly_possible_are_those_of_the_exact_sum(precision):
     far = np.full((3, 4), -5000.0)
     cases = {

@@ -33,7 +33,7 @@ def check_mean(counts, expected):
 
 
 @pytest.mark.parametrize("scheme", EXACT, ids=repr)
-@pytest.mark.parametrize("n", [10, 7])
+@pytest.mark.parametrize("n", each([10, 7], {"10"}))
 def test_counts_are_unbiased_and_the_heaviest_stays(scheme, n):
     drawn, counts = counted(scheme, WEIGHTS, n)
     check_mean(counts, n * WEIGHTS / WEIGHTS.sum())
@@ -51,7 +51,7 @@ def test_metropolis_has_the_law_of_its_chain(steps):
     assert np.all(0.5 * np.abs(law - w).sum(axis=1) <= (1 - w.mean() / w.max()) ** steps)
 
 
-@pytest.mark.parametrize("n", each([1, 2, 3, 5], {"2", "3"}))
+@pytest.mark.parametrize("n", each([1, 2, 3, 5], {"1", "2", "3"}))
 @pytest.mark.parametrize("scheme", [*EXACT, mo.resampling.MetropolisResampling(400)], ids=repr)
 def test_very_few_and_very_uneven(scheme, n):
     draw = jax.jit(scheme.ancestors, static_argnums=2)

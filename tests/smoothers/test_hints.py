@@ -75,6 +75,7 @@ def test_a_circle_is_seen():
     assert [asked for asked in circle if ends(asked, circle)] == ["CSmoother"]
 
 
+@pytest.mark.night
 def test_nodes_and_members_have_no_genealogy():
     """Nodes stay where they are, and members are moved by all others: their paths are none of the state (they were 3.6 off)."""
     for filter in (mo.PointMassFilter((-9.0, -9.0), (9.0, 9.0), (20, 20)), mo.EnsembleKalmanFilter(n=9)):

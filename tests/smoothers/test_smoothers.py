@@ -112,7 +112,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", each(CASES, {"backward, steps", "Rao-Blackwellized, other part"}))
+@pytest.mark.parametrize("case", each(CASES, {"backward, steps", "backward, rejection", "two filters", "Rao-Blackwellized, other part"}))
 def test_moments_of_a_linear_model(case):
     """Level 1e-6 per case, 45 figures; a bias of 0.03 is allowed for, since a ratio of averages has one of the order 1 / n."""
     seeds = 40
@@ -155,6 +155,7 @@ def test_paths_are_joint_draws(double):
         assert abs(found - wanted) < 5 * spread * np.sqrt(2 / 4000) + 0.05
 
 
+@pytest.mark.night
 def test_sums_over_time():
     """PaRIS on E[sum of a_{t-1} b_t] against the joint law; level 1e-6 with 40 seeds."""
     model = linear()

@@ -26,6 +26,7 @@ def client():
             yield client
 
 
+@pytest.mark.night
 def test_a_killed_worker_loses_nothing(client, tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "EVERY", 0.0)
     processes = client.run(os.getpid)

@@ -42,6 +42,7 @@ def test_a_number_as_target_has_the_errors_of_one_study(known):
     assert found.trials[0].error == pytest.approx(np.sqrt(46.0) * 0.5 / 2 / 20, rel=0.2)
 
 
+@pytest.mark.night
 def test_real_runs():
     plan = experiment(runs=40, filters={"goal": mo.ParticleFilter(n=60), "sought": mo.ParticleFilter(n=1)})
     found = mo.studies.particles_for_rmse(plan, "sought", "both", "goal", (10, 360), precision=100.0)

@@ -23,6 +23,7 @@ def plan(model, **changes):
     return mo.Experiment(model, filters, **({"steps": 5, "runs": 2, "seed": 4} | changes))
 
 
+@pytest.mark.night
 def test_a_world_of_modes_is_studied_and_kept(tmp_path):
     model = world()
     experiment = plan(model)

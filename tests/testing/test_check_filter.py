@@ -10,6 +10,7 @@ import motes as mo
 from motes.testing.rules import RULES, asked
 from motes.testing.session import Session
 from motes.testing.verdict import Verdict
+from tiers import each
 
 WORDS = {
     "value": "is not refused", "form": "holds numbers of float32", "answers": "covariance of 40 000 draws", "stream": "differ from step 1",
@@ -21,7 +22,7 @@ WORDS = {
 """What the finding of each rule says of the broken filter."""
 
 
-@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.ask.__name__)
+@pytest.mark.parametrize("rule", each({rule.ask.__name__: rule for rule in RULES}, {"eager"}))
 def test_each_rule_sees_a_filter_that_breaks_it(rule):
     name = rule.ask.__name__
     outcome = asked(rule, Session(BROKEN[name]))
