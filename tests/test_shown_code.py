@@ -22,7 +22,8 @@ PAGES = [path for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted
          if re.search(r"^```(python|\{code-cell\})$", path.read_text(), re.M)]  # fmt: skip
 FEWER = (("n=2_574", "n=64"), ("n=2_000", "n=64"), ("steps=100", "steps=8"))
 TUTORIALS = {path.name for path in PAGES if path.parent.name == "tutorials"}
-BY_NIGHT = {"chains.md", "parameters.md", "studies.md", "CONTRIBUTING.md", "coming-from.md", "cookbook.md"} | TUTORIALS
+BY_NIGHT = {"bounds.md", "chains.md", "coming-from.md", "CONTRIBUTING.md", "cookbook.md", "parameters.md", "scale.md", "studies.md"}
+BY_NIGHT |= TUTORIALS
 """Pages that take long, of what other tests run, too."""
 SMALLER = {
     "README.md": (

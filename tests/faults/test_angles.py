@@ -110,7 +110,7 @@ def test_the_heading_crosses_the_cut():
 
 BY_DAY = {"ParticleFilter", "MarginalizedParticleFilter", "UnscentedKalmanFilter", "GaussianParticleFilter",
           "InteractingMultipleModel", "KalmanParticleKernelFilter", "EnsembleKalmanFilter"}  # fmt: skip
-"""One for each way to average: points with weights (as nodes, which compile long, have them), means of Kalman filters, sigma points, draws, modes, kernels, members."""
+"""One for each way to average: points with weights, means of Kalman filters, sigma points, draws, modes, kernels, members."""
 
 
 @pytest.mark.parametrize("name", each(sorted(set(filters()) - set(LINEAR)), lambda name: name not in BY_DAY))

@@ -62,6 +62,7 @@ def test_streams_late_scans_and_cut_runs_give_the_bits_of_a_run(tmp_path):
     np.testing.assert_array_equal(rest.mean[-1], history.mean[-1])
 
 
+@pytest.mark.night
 def test_simulated_scans_run_as_they_come_and_studies_take_them():
     xs, ys = mo.simulate(3, MODEL, 20)
     assert ys.value.shape == (20, 14, 2)
