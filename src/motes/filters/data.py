@@ -11,6 +11,7 @@ from motes.core import checks
 from motes.core.types import Inputs
 from motes.io import tabular
 from motes.io.labels import Labels, agree, untold_gaps
+from motes.laws.independent import Stacked, Together
 from motes.laws.observed import Observed
 from motes.models.interface import Model
 from motes.models.state_space import checked_inputs
@@ -61,7 +62,7 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
         return found, checked_inputs(inputs, steps_of(found), "ys")
     ys = _numbers("ys", ys, dtype)
     if ys.ndim != 2 or ys.shape[0] == 0:
-        hint = "Write ys[:, None] for one measured component." if ys.ndim == 1 else ""
+        hint = "Write ys[:, None] for one measured component, np.array(ys) first of a list." if ys.ndim == 1 and ys.size else ""
         checks.refuse("ys", "shape (t, y) with at least one step", f"shape {ys.shape}", hint)
     inputs = checked_inputs(inputs, ys.shape[0], "ys")
     if checks.is_concrete(ys):
@@ -69,6 +70,23 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
         if missing.any():
             _ask_whole(sensors, np.asarray(missing.any(axis=1) & ~missing.all(axis=1)))
     return ys, inputs
+
+
+def of_one_step(model: Model, y: Any) -> Any:
+    """Return one measurement as those of a run of one step, time axis first.
+
+    Of several sensors by name a list of numbers is what one of them measured; in other trees a list is a part of the tree.
+    """
+    if is_array(y):
+        return np.atleast_1d(checks.as_numbers("y", y))[None]
+    if isinstance(y, Mapping) and isinstance(model.each_mode()[0].sensor, (Stacked, Together)):
+        y = {name: checks.as_numbers(f"y[{name!r}]", own) if _is_numbers(own) else own for name, own in y.items()}
+    return jax.tree.map(lambda leaf: np.asarray(checks.as_numbers("y", leaf))[None], y)
+
+
+def _is_numbers(value: Any) -> bool:
+    """Tell a list of numbers, or of lists of them, None among them, from one of arrays."""
+    return type(value) in (list, tuple) and all(np.ndim(leaf) == 0 for leaf in jax.tree.leaves(value, is_leaf=lambda leaf: leaf is None))
 
 
 def steps_of(ys: Any) -> int:
