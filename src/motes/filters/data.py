@@ -80,13 +80,8 @@ def of_one_step(model: Model, y: Any) -> Any:
     if is_array(y):
         return np.atleast_1d(checks.as_numbers("y", y))[None]
     if isinstance(y, Mapping) and isinstance(model.each_mode()[0].sensor, (Stacked, Together)):
-        y = {name: checks.as_numbers(f"y[{name!r}]", own) if _is_numbers(own) else own for name, own in y.items()}
+        y = {name: checks.as_numbers(f"y[{name!r}]", own) if checks.are_numbers(own) else own for name, own in y.items()}
     return jax.tree.map(lambda leaf: np.asarray(checks.as_numbers("y", leaf))[None], y)
-
-
-def _is_numbers(value: Any) -> bool:
-    """Tell a list of numbers, or of lists of them, None among them, from one of arrays."""
-    return type(value) in (list, tuple) and all(np.ndim(leaf) == 0 for leaf in jax.tree.leaves(value, is_leaf=lambda leaf: leaf is None))
 
 
 def steps_of(ys: Any) -> int:
