@@ -51,7 +51,7 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     sensors = [part.sensor for part in model.each_mode()]
     if tabular.is_labelled(ys):
         return labelled_data(model, ys, inputs)[:2]
-    ys = sensors[0].packed(ys)
+    ys = sensors[0].packed(_by_sensor(sensors[0], ys))
     if isinstance(ys, Observed):
         ys = jax.tree.map(lambda leaf: _numbers("ys", leaf, dtype) if _is_real(leaf) else leaf, ys)
         return ys, checked_inputs(inputs, steps_of(ys), "ys")
@@ -116,6 +116,25 @@ def _with_rows(ys: Any) -> Any:
         return ys
     sizes = {np.shape(one) for one in ys if one is not None and is_array(one) and _rank(one) == 1}
     return [np.full(next(iter(sizes)), np.nan) if one is None else one for one in ys] if len(sizes) == 1 else ys
+
+
+def _by_sensor(sensor: Any, ys: Any) -> Any:
+    """Return a list of measurements by name, one for each step, as lists by name of a row for each step, in which None is one of NaN."""
+    if not isinstance(sensor, Stacked):
+        return ys
+    if type(ys) in (list, tuple) and any(isinstance(one, Mapping) for one in ys):
+        names = dict.fromkeys(name for one in ys if one is not None for name in one)
+        ys = {name: [None if one is None else one.get(name) for one in ys] for name in names}
+    if not isinstance(ys, Mapping):
+        return ys
+    sizes = dict(sensor.sensors)
+
+    def rows(name: str, own: Any) -> Any:
+        if type(own) not in (list, tuple) or name not in sizes or not checks.is_concrete(own):
+            return own
+        return [np.full(sizes[name], np.nan) if one is None else np.atleast_1d(checks.as_numbers(f"ys[{name!r}]", one)) for one in own]
+
+    return {name: rows(name, own) for name, own in ys.items()}
 
 
 def _rank(value: Any) -> int:
