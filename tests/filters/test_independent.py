@@ -72,6 +72,9 @@ def test_streams_take_lists_by_name_and_none(count):
                           ({"radar": None, "count": [3.0]}, {"count": np.array([3.0])})):  # fmt: skip
         found, same = (mo.stream(0, mo.ParticleFilter(n=50), mixed).update(y).log_evidence for y in (given, wanted))
         np.testing.assert_array_equal(found, same)
+    found = mo.run(0, mo.ParticleFilter(n=50), mixed, [{"radar": [1.0, 2.0], "count": [3.0]}] * 2)
+    same = mo.run(0, mo.ParticleFilter(n=50), mixed, {"radar": np.array([[1.0, 2.0]] * 2), "count": np.full((2, 1), 3.0)})
+    np.testing.assert_array_equal(found.mean, same.mean)
 
 
 def test_densities_of_any_kind_are_multiplied():

@@ -79,9 +79,15 @@ def of_one_step(model: Model, y: Any) -> Any:
     """
     if is_array(y):
         return np.atleast_1d(checks.as_numbers("y", y))[None]
-    if isinstance(y, Mapping) and isinstance(model.each_mode()[0].sensor, (Stacked, Together)):
-        y = {name: checks.as_numbers(f"y[{name!r}]", own) if checks.are_numbers(own) else own for name, own in y.items()}
+    y = _with_arrays(y) if isinstance(model.each_mode()[0].sensor, (Stacked, Together)) else y
     return jax.tree.map(lambda leaf: np.asarray(checks.as_numbers("y", leaf))[None], y)
+
+
+def _with_arrays(y: Any) -> Any:
+    """Return one measurement of several sensors by name with arrays in place of lists of numbers."""
+    if not isinstance(y, Mapping):
+        return y
+    return {name: checks.as_numbers(f"y[{name!r}]", own) if checks.are_numbers(own) else own for name, own in y.items()}
 
 
 def steps_of(ys: Any) -> int:
@@ -119,7 +125,12 @@ def _with_rows(ys: Any) -> Any:
 
 
 def _by_sensor(sensor: Any, ys: Any) -> Any:
-    """Return a list of measurements by name, one for each step, as lists by name of a row for each step, in which None is one of NaN."""
+    """Return a list of measurements by name, one for each step, as lists by name of a row for each step, in which None is one of NaN.
+
+    Where sensors measure what is no row of numbers, the list stays, with arrays in place of lists of numbers.
+    """
+    if isinstance(sensor, Together) and type(ys) in (list, tuple):
+        return [_with_arrays(one) for one in ys]
     if not isinstance(sensor, Stacked):
         return ys
     if type(ys) in (list, tuple) and any(isinstance(one, Mapping) for one in ys):
