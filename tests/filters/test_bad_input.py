@@ -41,6 +41,7 @@ CASES = {
     "negative variance": (lambda: mo.LinearGaussian(EYE, np.diag([1.0, -0.1])), "LinearGaussian Q: expected a positive semi-definite"),
     "infinite covariance": (lambda: mo.Gaussian([0.0], [[np.inf]]), "Gaussian cov: expected finite numbers in the covariance"),
     "cov of another size": (lambda: mo.Gaussian([0.0, 0], [[1.0]]), "Gaussian cov: expected shape (2, 2) (a covariance matrix), got shape (1, 1)"),
+    "variances for a covariance": (lambda: mo.Gaussian([0.0, 0], [1.0, 1]), "Gaussian cov: expected shape (2, 2) (a covariance matrix), got shape (2,)"),
     "mean not finite": (lambda: mo.Gaussian([np.nan], [[1.0]]), "Gaussian mean: expected finite numbers, got nan at index [0]"),
     "text for numbers": (lambda: mo.Gaussian(["a"], [[1.0]]), "Gaussian mean: expected an array of numbers"),
     "rows of A": (lambda: mo.LinearGaussian(np.ones((3, 2)), EYE), "LinearGaussian Q: expected shape (3, 3) (rows of A), got shape (2, 2)"),

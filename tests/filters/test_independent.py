@@ -54,6 +54,29 @@ def test_silent_sensors_are_left_out():
     np.testing.assert_allclose(stream.mean, found.mean[-1], rtol=1e-4, atol=1e-4)
 
 
+def test_lists_and_iterators_have_a_dictionary_for_each_step():
+    radar = np.array([[1.0, 2.0], [np.nan, np.nan], [3.0, 4.0]])
+    wanted = mo.run(0, mo.ExtendedKalmanFilter(), GAUSSIAN, {"speed": np.array([[0.5], [0.6], [np.nan]]), "radar": radar}).mean
+    steps = [{"speed": 0.5, "radar": [1, 2]}, {"speed": [0.6]}, {"speed": None, "radar": radar[2]}]
+    for ys in (steps, iter(steps), {"speed": [0.5, 0.6, None], "radar": [[1, 2], None, [3, 4]]}):
+        np.testing.assert_array_equal(mo.run(0, mo.ExtendedKalmanFilter(), GAUSSIAN, ys).mean, wanted)
+
+
+@pytest.mark.parametrize("count", [
+    mo.AdditiveGaussian(lambda x, u, t: x[:1], [[1.0]]), mo.Custom(log_prob=lambda y, x, u, t: -((y[0] - x[0]) ** 2)),
+])  # fmt: skip
+def test_streams_take_lists_by_name_and_none(count):
+    mixed = model(mo.Independent(radar=RADAR, count=count))
+    for given, wanted in (({"radar": [1.0, 2], "count": (3,)}, {"radar": np.array([1.0, 2.0]), "count": np.array([3.0])}),
+                          ({"radar": [1.0, None], "count": [3]}, {"radar": np.array([1.0, np.nan]), "count": np.array([3.0])}),
+                          ({"radar": None, "count": [3.0]}, {"count": np.array([3.0])})):  # fmt: skip
+        found, same = (mo.stream(0, mo.ParticleFilter(n=50), mixed).update(y).log_evidence for y in (given, wanted))
+        np.testing.assert_array_equal(found, same)
+    found = mo.run(0, mo.ParticleFilter(n=50), mixed, [{"radar": [1.0, 2.0], "count": [3.0]}] * 2)
+    same = mo.run(0, mo.ParticleFilter(n=50), mixed, {"radar": np.array([[1.0, 2.0]] * 2), "count": np.full((2, 1), 3.0)})
+    np.testing.assert_array_equal(found.mean, same.mean)
+
+
 def test_densities_of_any_kind_are_multiplied():
     """A picture whose one pixel is the speed, beside the radar."""
 

@@ -216,6 +216,18 @@ def test_tables_are_inputs_too():
         assert np.array_equal(jax.tree.leaves(numbers_of("inputs", one))[0], row[:, None])
 
 
+def test_inputs_of_a_forecast_are_of_the_steps_ahead():
+    model = mo.models.structural(1.0, level=0.1, regressors={"price": 0.0})
+    quarters = pd.period_range("1962Q1", periods=12, freq="Q")
+    prices = pd.DataFrame({"price": np.cos(np.arange(12.0))}, quarters)
+    history = mo.run(0, mo.KalmanFilter(), model, prices.iloc[:8] * 2, prices.iloc[:8])
+    found = mo.forecast(history, 4, prices.iloc[8:])
+    assert np.array_equal(found.mean, mo.forecast(history, 4, prices.iloc[8:].to_numpy()).mean)
+    with pytest.raises(mo.MotesError) as error:
+        mo.forecast(history, 4, prices.iloc[4:8])
+    refused(error, "forecast inputs: expected the times of the steps ahead", "1964-01-01", "1963-01-01", "one step after")
+
+
 def test_posteriors_and_parallel_runs_take_them():
     series = pd.Series(VALUES, DAYS, name="p")
     posterior = mo.parameters.Posterior(mo.Gaussian([0.0], [[1.0]]), lambda theta: LEVEL, mo.KalmanFilter(), series)

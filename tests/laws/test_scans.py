@@ -62,6 +62,29 @@ def test_streams_late_scans_and_cut_runs_give_the_bits_of_a_run(tmp_path):
     np.testing.assert_array_equal(rest.mean[-1], history.mean[-1])
 
 
+def test_lists_of_whole_numbers_and_empty_ones_are_scans():
+    scans = [[], [[1, 2], [3, 4]], [[5, 6]]]
+    history = mo.run(0, FILTER, MODEL, [np.array(scan, float).reshape(-1, 2) for scan in scans])
+    np.testing.assert_array_equal(mo.run(0, FILTER, MODEL, scans).mean, history.mean)
+    stream = mo.stream(0, FILTER, MODEL)
+    for t, scan in enumerate(scans):
+        if t:
+            stream.predict()
+        stream.update(scan)
+    np.testing.assert_array_equal(stream.mean, history.mean[-1])
+    whole = np.arange(12).reshape(2, 3, 2)
+    np.testing.assert_array_equal(mo.run(0, FILTER, MODEL, whole).mean, mo.run(0, FILTER, MODEL, whole.astype(float)).mean)
+    np.testing.assert_array_equal(mo.run(0, FILTER, MODEL, [[], []]).mean, mo.run(0, FILTER, MODEL, [np.zeros((0, 2))] * 2).mean)
+
+
+def test_tracks_in_clutter_are_smoothed_by_the_dynamics_alone():
+    history = mo.run(0, mo.ExtendedKalmanFilter(), MODEL, SCANS)
+    plain = mo.replace(MODEL, sensor=MODEL.sensor.sensor)
+    found, wanted = (mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), model, history) for model in (MODEL, plain))
+    np.testing.assert_array_equal(found.mean, wanted.mean)
+    assert np.trace(found.cov[0]) < np.trace(history.cov[0])
+
+
 @pytest.mark.night
 def test_simulated_scans_run_as_they_come_and_studies_take_them():
     xs, ys = mo.simulate(3, MODEL, 20)
@@ -93,7 +116,7 @@ def test_modes_with_scans_run_by_particles_and_by_gaussians():
 
 @pytest.mark.parametrize(("ys", "words"), [
     ([np.zeros((15, 2))], "ys: expected scans of at most 14 plots, got 15 in scan 0. Say plots= that many."),
-    ([[], []], r"plots scans: expected plots with one number of components, got none. Write np.zeros\(\(0, z\)\)"),
+    ([None, None], r"plots scans: expected plots with one number of components, got none. Write np.zeros\(\(0, z\)\)"),
     ([np.zeros((1, 2)), np.zeros((1, 3))], "plots scans: expected plots with one number of components, got 2 and 3"),
     ([np.zeros(2)], r"plots scan 0: expected shape \(plots, z\), got shape \(2,\). One plot is"),
     ([np.array([[np.inf, 0.0]])], "plots scan 0: expected finite numbers"),

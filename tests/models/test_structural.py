@@ -68,6 +68,8 @@ def test_states_have_names():
      (lambda: mo.models.cycle(1.0, 9.0, damping=1.1), ("cycle damping", "at most 1")),
      (lambda: mo.models.regression(1.0, 0), ("regressors", "at least 1")),
      (lambda: mo.models.regression(1.0, None), ("regressors", "how many")),
+     (lambda: mo.models.regression(1.0, ["price", "promo"]), ("regressors", "'price', 'promo'", "{'price': 0.0}")),
+     (lambda: mo.models.regression(1.0, "price"), ("regressors", "got 'price'", "{'price': 0.0}")),
      (lambda: mo.models.structural(1.0), ("structural", "none of them")),
      (lambda: mo.models.structural(1.0, trend=0.1), ("structural level", "None")),
      (lambda: mo.models.structural(1.0, 0.1, seasonal=(12, 0.1, 2, 3)), ("structural seasonal", "harmonics")),

@@ -32,6 +32,13 @@ def test_even_stamps_are_the_model_of_that_period():
         np.testing.assert_allclose(history.times, start + STAMPS)
 
 
+def test_lists_of_numbers_are_measurements_and_none_is_nothing():
+    np.testing.assert_array_equal(mo.times(STAMPS.tolist(), YS.tolist()).ys, YS)
+    line = mo.times(radar=([0.0, 1.0], [[1, None], [2, 3]]), sonar=([1.0], [[4]]))
+    np.testing.assert_array_equal(line.ys["radar"], [[1.0, np.nan], [2.0, 3.0]])
+    np.testing.assert_array_equal(line.ys["sonar"], [[np.nan], [4.0]])
+
+
 def test_steps_without_measurement_change_nothing_when_left_out():
     gappy = YS.copy()
     gappy[[3, 4, 8]] = np.nan

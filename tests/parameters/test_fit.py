@@ -204,6 +204,7 @@ def test_a_fit_prints_and_comes_back_from_its_file(exact, tmp_path):
      ({"burn": -1}, ("burn", "-1")),
      ({"rounds": 0}, ("rounds",)),
      ({"ys": YS[:, 0]}, ("ys", "shape (t, y)")),
+     ({"ys": np.tile([[1.0], [-1.0]], (9, 1)), "positive": ()}, ("model_of", "level: expected a variance", "got -", "positive=")),
      ({"ys": np.full((5, 1), np.inf)}, ("ys", "inf")),
      ({"ys": [YS, YS], "inputs": np.zeros((60, 1))}, ("inputs", "a list")),
      ({"model_of": 3}, ("model_of", "int")),

@@ -273,3 +273,9 @@ def test_folders_that_cannot_be_used(tmp_path):
         pass
     with pytest.raises(FileError, match="expected a store with runs, got none yet"):
         mo.studies.StudyResult.load(tmp_path / "begun")
+
+
+def test_a_folder_of_a_run_is_told_from_a_study(tmp_path):
+    with pytest.raises(FileError) as error:
+        mo.studies.StudyResult.load(tmp_path)
+    refused(error, "the ledger of a study", "Of a run that is no study: mo.report")

@@ -76,6 +76,11 @@ def is_concrete(value: Any) -> bool:
     return not any(isinstance(leaf, Tracer) for leaf in leaves)
 
 
+def are_numbers(value: Any) -> bool:
+    """Tell a list of numbers, or of lists of them, None among them, from a list of arrays."""
+    return type(value) in (list, tuple) and all(np.ndim(leaf) == 0 for leaf in jax.tree.leaves(value, is_leaf=lambda leaf: leaf is None))
+
+
 def as_numbers(argument: str, value: Any, expected: str = "an array of numbers") -> Any:
     """Return what the user gives as an array of real numbers in which NaN stands for what is missing; the one place that decides that.
 

@@ -11,6 +11,7 @@ from motes.core import checks
 from motes.core.types import Inputs
 from motes.io import tabular
 from motes.io.labels import Labels, agree, untold_gaps
+from motes.laws.independent import Stacked, Together
 from motes.laws.observed import Observed
 from motes.models.interface import Model
 from motes.models.state_space import checked_inputs
@@ -50,7 +51,7 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     sensors = [part.sensor for part in model.each_mode()]
     if tabular.is_labelled(ys):
         return labelled_data(model, ys, inputs)[:2]
-    ys = sensors[0].packed(ys)
+    ys = sensors[0].packed(_by_sensor(sensors[0], ys))
     if isinstance(ys, Observed):
         ys = jax.tree.map(lambda leaf: _numbers("ys", leaf, dtype) if _is_real(leaf) else leaf, ys)
         return ys, checked_inputs(inputs, steps_of(ys), "ys")
@@ -61,7 +62,7 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
         return found, checked_inputs(inputs, steps_of(found), "ys")
     ys = _numbers("ys", ys, dtype)
     if ys.ndim != 2 or ys.shape[0] == 0:
-        hint = "Write ys[:, None] for one measured component." if ys.ndim == 1 else ""
+        hint = "Write ys[:, None] for one measured component, np.array(ys) first of a list." if ys.ndim == 1 and ys.size else ""
         checks.refuse("ys", "shape (t, y) with at least one step", f"shape {ys.shape}", hint)
     inputs = checked_inputs(inputs, ys.shape[0], "ys")
     if checks.is_concrete(ys):
@@ -69,6 +70,24 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
         if missing.any():
             _ask_whole(sensors, np.asarray(missing.any(axis=1) & ~missing.all(axis=1)))
     return ys, inputs
+
+
+def of_one_step(model: Model, y: Any) -> Any:
+    """Return one measurement as those of a run of one step, time axis first.
+
+    Of several sensors by name a list of numbers is what one of them measured; in other trees a list is a part of the tree.
+    """
+    if is_array(y):
+        return np.atleast_1d(checks.as_numbers("y", y))[None]
+    y = _with_arrays(y) if isinstance(model.each_mode()[0].sensor, (Stacked, Together)) else y
+    return jax.tree.map(lambda leaf: np.asarray(checks.as_numbers("y", leaf))[None], y)
+
+
+def _with_arrays(y: Any) -> Any:
+    """Return one measurement of several sensors by name with arrays in place of lists of numbers."""
+    if not isinstance(y, Mapping):
+        return y
+    return {name: checks.as_numbers(f"y[{name!r}]", own) if checks.are_numbers(own) else own for name, own in y.items()}
 
 
 def steps_of(ys: Any) -> int:
@@ -103,6 +122,30 @@ def _with_rows(ys: Any) -> Any:
         return ys
     sizes = {np.shape(one) for one in ys if one is not None and is_array(one) and _rank(one) == 1}
     return [np.full(next(iter(sizes)), np.nan) if one is None else one for one in ys] if len(sizes) == 1 else ys
+
+
+def _by_sensor(sensor: Any, ys: Any) -> Any:
+    """Return a list of measurements by name, one for each step, as lists by name of a row for each step, in which None is one of NaN.
+
+    Where sensors measure what is no row of numbers, the list stays, with arrays in place of lists of numbers.
+    """
+    if isinstance(sensor, Together) and type(ys) in (list, tuple):
+        return [_with_arrays(one) for one in ys]
+    if not isinstance(sensor, Stacked):
+        return ys
+    if type(ys) in (list, tuple) and any(isinstance(one, Mapping) for one in ys):
+        names = dict.fromkeys(name for one in ys if one is not None for name in one)
+        ys = {name: [None if one is None else one.get(name) for one in ys] for name in names}
+    if not isinstance(ys, Mapping):
+        return ys
+    sizes = dict(sensor.sensors)
+
+    def rows(name: str, own: Any) -> Any:
+        if type(own) not in (list, tuple) or name not in sizes or not checks.is_concrete(own):
+            return own
+        return [np.full(sizes[name], np.nan) if one is None else np.atleast_1d(checks.as_numbers(f"ys[{name!r}]", one)) for one in own]
+
+    return {name: rows(name, own) for name, own in ys.items()}
 
 
 def _rank(value: Any) -> int:

@@ -25,7 +25,8 @@ from motes.filters.predictive import Forecast, Predictive
 from motes.filters.run import run
 from motes.gaussian.modes import expected
 from motes.gaussian.taylor import Taylor, affine, is_affine
-from motes.io.labels import Labels
+from motes.io import tabular
+from motes.io.labels import Labels, agree
 from motes.laws.carried import Carried
 from motes.laws.circular import gathered
 from motes.laws.cloud import draw, weighted_moments
@@ -73,15 +74,15 @@ def forecast(  # noqa: PLR0913 (a history knows filter and model, but one of a f
     Args:
         history: of a run to its last measurement, or read from a file.
         steps: how many steps ahead, h.
-        inputs: of these steps, with the time axis first, where the model takes inputs.
+        inputs: of these steps, with the time axis first, where the model takes inputs; times of their own must be those of the steps ahead.
         key: JAX key or integer seed of what is drawn; nothing is where all laws are Gaussians.
         filter: the filter of the run, where the history does not know it: one of a file.
         model: likewise the model.
         draws: m of each step from which quantiles are taken of laws that are no Gaussians.
 
     Raises:
-        MotesError: the history holds many runs, steps is not a positive whole number, inputs are missing or too many, or the history knows
-            no filter and model.
+        MotesError: the history holds many runs, steps is not a positive whole number, inputs are missing, too many or of other times, or
+            the history knows no filter and model.
     """
     checks.instance("forecast history", history, History, "what mo.run gave, or History.load")
     checks.positive_integer("forecast steps", steps)
@@ -131,6 +132,11 @@ def _inputs_ahead(history: History, steps: int, inputs: Inputs) -> Inputs:
     if (before is None) != (inputs is None):
         wanted = f"inputs of the {steps} steps ahead, as the run had some" if inputs is None else "none, as the run had none"
         checks.refuse("forecast inputs", wanted, "None" if inputs is None else type(inputs).__name__)
+    if history.labels is not None and history.labels.index is not None:
+        ahead = replace(history.labels, index=history.labels.continued(steps))
+        for leaf in jax.tree.leaves(tabular.by_name(inputs)):
+            given = tabular.unlabelled("forecast inputs", leaf)[1]
+            agree("forecast inputs", "the times of the steps ahead", ahead, given, "They begin one step after the last measurement.")
     return checked_inputs(inputs, steps, "forecast steps", "forecast inputs")
 
 

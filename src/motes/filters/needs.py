@@ -64,14 +64,14 @@ def as_linear_model(asked_by: str, model: Any, u: Any) -> StateSpaceModel:
     return model
 
 
-def as_moment_model(asked_by: str, model: Any) -> StateSpaceModel:
-    """Return a state-space model whose dynamics and sensor have a mean function and a noise covariance.
+def as_moment_model(asked_by: str, model: Any, parts: tuple[str, ...] = ("dynamics", "sensor")) -> StateSpaceModel:
+    """Return a state-space model whose dynamics and sensor, or those parts that are named, have a mean function and a noise covariance.
 
     Raises:
         MotesError: one of them has not, or the value is no model.
     """
     model = as_state_space(asked_by, model)
-    _check_moments(asked_by, model)
+    _check_moments(asked_by, model, parts)
     return model
 
 
@@ -95,8 +95,8 @@ def of_one_plot(model: StateSpaceModel) -> list[StateSpaceModel]:
     return [replace(model, sensor=part.sensor if isinstance(part, Cluttered) else part) for part in of_plots]
 
 
-def _check_moments(asked_by: str, model: StateSpaceModel) -> None:
-    for name in ("dynamics", "sensor"):
+def _check_moments(asked_by: str, model: StateSpaceModel, parts: tuple[str, ...] = ("dynamics", "sensor")) -> None:
+    for name in parts:
         part = getattr(model, name)
         if not part.has_moments:
             hint = "Use AdditiveGaussian or AdditiveNoise, or a ParticleFilter."

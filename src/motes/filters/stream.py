@@ -13,7 +13,7 @@ from motes.core import checks, markdown, random
 from motes.core.packed import Packed
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
-from motes.filters.data import checked_data, is_array, refuse_infinite
+from motes.filters.data import checked_data, is_array, of_one_step, refuse_infinite
 from motes.filters.frames import stream_facts
 from motes.filters.history import Carry, History, ask_evidence
 from motes.filters.history_files import measured_shapes, measurement_form, stored_shapes
@@ -204,11 +204,7 @@ class Stream(Generic[LawT]):
         if y is None:
             return self._nothing()
         if self._held is None or isinstance(self._like, Observed) or not is_array(y):
-            if is_array(y):
-                rows = np.atleast_1d(checks.as_numbers("y", y))[None]
-            else:
-                rows = jax.tree.map(lambda leaf: np.asarray(checks.as_numbers("y", leaf))[None], y)
-            found = jax.tree.map(lambda leaf: leaf[0], checked_data(self.model, rows, None)[0])
+            found = jax.tree.map(lambda leaf: leaf[0], checked_data(self.model, of_one_step(self.model, y), None)[0])
             form, first = (jax.tree.map(shape_of, one) for one in (found, found if self._held is None else self._like))
             if form != first:
                 checks.refuse("y", f"the form of the first one, {_in_short(first)}", _in_short(form))

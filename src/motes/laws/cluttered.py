@@ -127,7 +127,14 @@ class Cluttered(Conditional):
             MotesError: they are no scans, one has more plots than K, or a plot lacks some of its components.
         """
         leaves_out = self.law is not None and self.law.marginalizes and self.sensor.marginalizes
-        return with_room(ys, self.plots, leaves_out)
+        return with_room(ys, self.plots, leaves_out, self._components)
+
+    @property
+    def _components(self) -> int | None:
+        """How many components a plot has, where sensor or clutter say so."""
+        if isinstance(self.sensor, AdditiveGaussian) and not callable(self.sensor.Q):
+            return np.shape(self.sensor.Q)[0]  # type: ignore[arg-type]
+        return None if self.law is None else drawn(self.law).shape[0]
 
     def silence(self, steps: int) -> Observed:
         """Return so many steps without a scan.
@@ -135,11 +142,9 @@ class Cluttered(Conditional):
         Raises:
             MotesError: neither clutter nor sensor say how many components a plot has.
         """
-        known = isinstance(self.sensor, AdditiveGaussian) and not callable(self.sensor.Q)
-        if self.law is None and not known:
+        if self._components is None:
             return super().silence(steps)
-        size = jnp.shape(self.sensor.Q)[0] if known else drawn(self.law).shape[0]  # type: ignore[attr-defined]
-        return Observed(np.full((steps, self.plots, size), np.nan), np.zeros(steps, bool))
+        return Observed(np.full((steps, self.plots, self._components), np.nan), np.zeros(steps, bool))
 
     def check(self, x: Any, u: Any, t: Any) -> None:
         """Run detection and clutter on shapes alone and refuse what does not fit.

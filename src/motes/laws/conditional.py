@@ -174,6 +174,14 @@ class AdditiveGaussian(Conditional):
         object.__setattr__(self, "Q", check_noise_cov(f"{type(self).__name__} Q", Q))
         object.__setattr__(self, "angles", tuple(angles))
 
+    def silence(self, steps: int) -> Any:
+        """Return so many rows of NaN.
+
+        Raises:
+            MotesError: the noise covariance, a function, does not say how many components are measured.
+        """
+        return super().silence(steps) if callable(self.Q) else np.full((steps, np.shape(self.Q)[0]), np.nan)  # type: ignore[arg-type]
+
     def given(self, x: jax.Array, u: Any, t: Any) -> Gaussian:
         """Return the Gaussian given one state."""
         return Gaussian(self.mean(x, u, t), self.cov(x, u, t))

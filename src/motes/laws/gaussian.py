@@ -42,10 +42,10 @@ class Gaussian(Law):
         dtype = jnp.result_type(center, covariance)
         if center.ndim not in (1, 2):
             checks.refuse("Gaussian mean", "shape (x,) or (x, n)", f"shape {center.shape}")
-        if covariance.ndim == 2:
-            checks.covariance("Gaussian cov", covariance, center.shape[0])
-        else:
+        if covariance.ndim == 3:
             checks.shape("Gaussian cov", covariance, (center.shape[0], center.shape[0], center.shape[-1]))
+        else:
+            checks.covariance("Gaussian cov", covariance, center.shape[0])
         checks.finite("Gaussian mean", center)
         object.__setattr__(self, "center", center.astype(dtype))
         object.__setattr__(self, "covariance", covariance.astype(dtype))

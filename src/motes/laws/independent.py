@@ -77,6 +77,7 @@ class Stacked(AdditiveGaussian):
         if not isinstance(ys, Mapping):
             return ys
         sizes = dict(self.sensors)
+        ys = {name: own for name, own in ys.items() if own is not None}
         unknown = [name for name in ys if name not in sizes]
         if unknown or not ys:
             checks.refuse("ys", f"measurements of {', '.join(sizes)}", repr(unknown[0]) if unknown else "none")

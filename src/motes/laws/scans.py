@@ -47,18 +47,19 @@ def plots(scans: Any) -> Observed:
     return Observed(value, np.array([scan is not None for scan in found]))
 
 
-def with_room(ys: Any, most: int, leaves_out: bool) -> Observed:
+def with_room(ys: Any, most: int, leaves_out: bool, size: int | None) -> Observed:
     """Return scans with room for so many plots each, those that are there first.
 
     Args:
         ys: what `plots` gives or takes, or an array `(t, m, z)` with a plot at least at each step.
         most: plots that there is room for.
         leaves_out: whether plots may lack components.
+        size: how many components a plot has; None where only plots tell it.
 
     Raises:
         MotesError: they are no scans, one has more plots, or a plot lacks some of its components.
     """
-    ys = ys if isinstance(ys, Observed) else _scans(ys)
+    ys = ys if isinstance(ys, Observed) else _scans(ys, size)
     if not checks.is_concrete(ys):
         checks.shape("ys", ys.value, (None, most, None), "(steps, most plots of a scan, z)")
         return ys
@@ -83,16 +84,24 @@ def with_room(ys: Any, most: int, leaves_out: bool) -> Observed:
     return Observed(np.pad(np.take_along_axis(value, order[..., None], axis=1), room, constant_values=np.nan), there)
 
 
-def _scans(ys: Any) -> Observed:
-    """Return scans of a list or an array `(t, m, z)`, in which there is at least one plot at each step."""
+def _scans(ys: Any, size: int | None) -> Observed:
+    """Return scans of a list, or of an array `(t, m, z)` in which no scan is empty, or all are, `(t, 0)`."""
     if type(ys) in (list, tuple):
-        return plots(ys)
+        return plots(ys if size is None else [np.zeros((0, size)) if _is_blank(scan) else scan for scan in ys])
     wanted = "scans, as mo.plots makes them of a list of arrays (plots, z)"
     is_leaf = jax.tree_util.all_leaves([ys])
     array = checks.as_numbers("ys", ys, wanted) if is_leaf else ys
+    if is_leaf and size is not None and np.shape(array)[1:] == (0,):
+        array = np.zeros((len(array), 0, size))
     if not is_leaf or np.ndim(array) != 3:
         checks.refuse("ys", wanted, f"a {type(array).__name__}" + (f" of shape {np.shape(array)}" if is_leaf else ""))
     if array.shape[1] and checks.is_concrete(array) and np.isnan(np.asarray(array)).all(axis=(1, 2)).any():
         row = int(np.argmax(np.isnan(np.asarray(array)).all(axis=(1, 2))))
         checks.refuse("ys", wanted, f"NaN alone in row {row}", "mo.plots tells an empty scan, [], from none, None.")
-    return Observed(array, np.ones(array.shape[0], bool))
+    # whole numbers have no NaN for the plots that are not there
+    return Observed(array.astype(np.result_type(array, np.float32)), np.ones(array.shape[0], bool))
+
+
+def _is_blank(scan: Any) -> bool:
+    """Tell `[]`, which does not say how many components a plot has."""
+    return isinstance(scan, (list, tuple, np.ndarray)) and len(np.shape(scan) if isinstance(scan, np.ndarray) else scan) == 0

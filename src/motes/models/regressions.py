@@ -36,6 +36,9 @@ def of_regressors(regressors: Any) -> Component:
     """Return coefficients of regressors, which the inputs give; see `regression`."""
     names = tuple(regressors) if isinstance(regressors, Mapping) else None
     values = list(regressors.values()) if isinstance(regressors, Mapping) else regressors
+    if any(isinstance(value, str) for value in (values if isinstance(values, (list, tuple)) else [values])):
+        checks.refuse("regressors", "how many there are, or the variance of each one's step", repr(regressors),
+                      "Names stand before variances: {'price': 0.0} has a coefficient that stays.")  # fmt: skip
     if isinstance(values, (int, np.integer)):
         checks.positive_integer("regressors", values)
         values = [0.0] * int(values)

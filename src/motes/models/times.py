@@ -71,7 +71,7 @@ def times(stamps: Any = None, ys: Any = None, *, inputs: Inputs = None, **sensor
         stamped = stamps if isinstance(stamps, Labels) else labels_of("times stamps", stamps)
         stamped = None if stamped is None or not stamped.are_times else stamped
         start, seconds = instants.times(stamps.index if isinstance(stamps, Labels) else stamps, name="times stamps")
-        ys, own = tabular.unlabelled("times ys", ys)
+        ys, own = tabular.unlabelled("times ys", _listed("times ys", ys))
         if own is not None and own.columns and stamped is not None:
             stamped = replace(stamped, columns=own.columns)
         return Timeline(ys, _with_steps(inputs, _counted("times ys", ys, seconds)), seconds, start, stamped)
@@ -106,7 +106,12 @@ def _pair(name: str, given: Any) -> tuple[Any, Any]:
         return own.index, ys
     if not isinstance(given, tuple) or len(given) != 2:
         checks.refuse(name, "a pair of stamps and measurements", type(given).__name__)
-    return given[0], tabular.unlabelled(name, given[1])[0]
+    return given[0], tabular.unlabelled(name, _listed(name, given[1]))[0]
+
+
+def _listed(name: str, ys: Any) -> Any:
+    """Return lists of numbers as an array; anything else as it is."""
+    return checks.as_numbers(name, ys) if checks.are_numbers(ys) else ys
 
 
 def _counted(name: str, ys: Any, seconds: np.ndarray) -> np.ndarray:

@@ -72,7 +72,7 @@ class RauchTungStriebelSmoother(Smoother):
             MotesError: one is missing.
         """
         ask_kind("RauchTungStriebelSmoother", history, Gaussian, FactoredGaussian)
-        model = as_moment_model("RauchTungStriebelSmoother", model)
+        model = as_moment_model("RauchTungStriebelSmoother", model, ("dynamics",))
         self.rule.check_size("RauchTungStriebelSmoother", model.size)
         return model
 

@@ -281,7 +281,8 @@ def _opened(folder: Path, write: bool) -> sqlite3.Connection:
     runs = sum(1 for name in folder.iterdir() if _OURS.fullmatch(name.name)) if folder.is_dir() else 0
     if not path.is_file() or not path.stat().st_size:
         if runs or not write:
-            refuse(label(path), "the ledger of a study", f"none beside {runs} files of runs", "Restore it from a copy.", FileError)
+            cure = "Restore it from a copy." if runs else "Of a run that is no study: mo.report(mo.History.load('NAME.npz'), 'run.html')."
+            refuse(label(path), "the ledger of a study", f"none beside {runs} files of runs", cure, FileError)
     with sound(path, "an undamaged ledger"):
         mode = "rwc" if write else "ro"
         ledger = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode={mode}", uri=True, isolation_level=None)
