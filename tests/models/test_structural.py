@@ -110,3 +110,23 @@ def test_stochastic_volatility_has_the_likelihood_of_a_grid(rho, double):
     ys[4] = np.nan
     found = mo.run(0, mo.PointMassFilter((-5.0,), (4.0,), (400,)), model, ys).log_likelihood
     assert abs(float(found) - by_a_grid(ys[:, 0], -0.5, 0.9, 0.4, rho or 0.0)) < 1e-5
+
+
+def test_regressors_with_names_are_taken_from_tables_by_name(double):
+    pandas = pytest.importorskip("pandas")
+    model = mo.models.structural(irregular=0.1, level=0.01, regressors={"price": 0.0, "promo": 0.0})
+    draw = np.random.default_rng(0)
+    table = pandas.DataFrame({"price": draw.normal(size=30), "other": 1.0, "promo": draw.normal(size=30)})
+    xs, ys = mo.simulate(1, model, 30, table)
+    turned = table[["promo", "price"]]
+    np.testing.assert_array_equal(mo.simulate(1, model, 30, turned)[1], ys)
+    found, wanted = (mo.run(0, mo.KalmanFilter(), model, ys, inputs) for inputs in (turned, table[["price", "promo"]].to_numpy()))
+    np.testing.assert_array_equal(found.mean, wanted.mean)
+    ahead = mo.forecast(found, 3, turned[:3]).mean, mo.forecast(wanted, 3, table[["price", "promo"]].to_numpy()[:3]).mean
+    np.testing.assert_array_equal(*ahead)
+    smoothed = [mo.smooth(0, mo.smoothers.RauchTungStriebelSmoother(), model, found, ys, inputs).mean for inputs in (turned, table)]
+    np.testing.assert_array_equal(*smoothed)
+    with pytest.raises(mo.MotesError, match="inputs: expected the columns price, promo, got price, place"):
+        mo.run(0, mo.KalmanFilter(), model, ys, table.rename(columns={"promo": "place"})[["price", "place"]])
+    shouted = turned.rename(columns=str.upper)[["PRICE", "PROMO"]]
+    np.testing.assert_array_equal(mo.run(0, mo.KalmanFilter(), model, ys, shouted).mean, wanted.mean)

@@ -49,7 +49,7 @@ def kalman_at_truth(model: Model, xs: ArrayLike, inputs: Inputs = None) -> Bound
         checks.refuse("kalman_at_truth model", "independent process and measurement noise", "noise_cross_cov")
     xs = checks.as_float("kalman_at_truth xs", xs).astype(given.dtype)
     checks.shape("kalman_at_truth xs", xs, (None, given.size), "(steps, states)")
-    inputs = checked_inputs(inputs, xs.shape[0], "xs")
+    inputs = checked_inputs(inputs, xs.shape[0], "xs", names=given.input_names)
     known = canonical(model, jax.tree.map(one_of, inputs))
     return Bound(_covariances(known, xs, inputs, Beside(known)), given.names, KIND)
 

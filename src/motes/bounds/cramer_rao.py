@@ -66,8 +66,8 @@ def posterior_cramer_rao(key: KeyLike, model: Any, steps: int, trajectories: int
     """
     checks.positive_integer("posterior_cramer_rao steps", steps)
     checks.positive_integer("posterior_cramer_rao trajectories", trajectories)
-    inputs = checked_inputs(inputs, steps, "steps")
     names = _check_model(model)
+    inputs = checked_inputs(inputs, steps, "steps", names=model.input_names)
     known = canonical(model, jax.tree.map(one_of, inputs))
     covs, faults = _recursion(random.as_key(key), known, steps, trajectories, inputs, Beside(known))
     if checks.is_concrete(faults) and np.any(faults):

@@ -54,17 +54,17 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     ys = sensors[0].packed(_by_sensor(sensors[0], ys))
     if isinstance(ys, Observed):
         ys = jax.tree.map(lambda leaf: _numbers("ys", leaf, dtype) if _is_real(leaf) else leaf, ys)
-        return ys, checked_inputs(inputs, steps_of(ys), "ys")
+        return ys, checked_inputs(inputs, steps_of(ys), "ys", names=model.input_names)
     ys = _with_rows(ys)
     whole = _stacked(ys) if isinstance(ys, (list, tuple)) and is_array(ys) else None
     if whole is not None or not is_array(ys) or _rank(ys) > 2:
         found = _observed(sensors, ys if whole is None else whole[0], dtype, None if whole is None else whole[1])
-        return found, checked_inputs(inputs, steps_of(found), "ys")
+        return found, checked_inputs(inputs, steps_of(found), "ys", names=model.input_names)
     ys = _numbers("ys", ys, dtype)
     if ys.ndim != 2 or ys.shape[0] == 0:
         hint = "Write ys[:, None] for one measured component, np.array(ys) first of a list." if ys.ndim == 1 and ys.size else ""
         checks.refuse("ys", "shape (t, y) with at least one step", f"shape {ys.shape}", hint)
-    inputs = checked_inputs(inputs, ys.shape[0], "ys")
+    inputs = checked_inputs(inputs, ys.shape[0], "ys", names=model.input_names)
     if checks.is_concrete(ys):
         missing = np.isnan(np.asarray(ys))
         if missing.any():

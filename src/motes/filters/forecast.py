@@ -89,7 +89,7 @@ def forecast(  # noqa: PLR0913 (a history knows filter and model, but one of a f
     checks.positive_integer("forecast draws", draws)
     ask_one_run("forecast", history, "Write jax.vmap(lambda history: mo.forecast(history, steps))(histories).")
     filter, model = _made_by(history, filter, model)
-    inputs = _inputs_ahead(history, steps, inputs)
+    inputs = _inputs_ahead(history, model, steps, inputs)
     last = history.last.y
     ys = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (steps, *jnp.shape(leaf))), nothing_like(last))
     key = random.as_key(key)
@@ -126,7 +126,7 @@ def _names_measured(history: History, model: Model, size: int) -> tuple[str, ...
     return next(names for names in (of_sensors, columns, numbered) if len(names) == size)
 
 
-def _inputs_ahead(history: History, steps: int, inputs: Inputs) -> Inputs:
+def _inputs_ahead(history: History, model: Model, steps: int, inputs: Inputs) -> Inputs:
     """Return inputs of the steps ahead, in the form of those of the run."""
     before = history.last.u
     if (before is None) != (inputs is None):
@@ -137,7 +137,7 @@ def _inputs_ahead(history: History, steps: int, inputs: Inputs) -> Inputs:
         for leaf in jax.tree.leaves(tabular.by_name(inputs)):
             given = tabular.unlabelled("forecast inputs", leaf)[1]
             agree("forecast inputs", "the times of the steps ahead", ahead, given, "They begin one step after the last measurement.")
-    return checked_inputs(inputs, steps, "forecast steps", "forecast inputs")
+    return checked_inputs(inputs, steps, "forecast steps", "forecast inputs", model.input_names)
 
 
 def _continued(labels: Labels, inputs: Inputs, steps: int) -> Labels | None:

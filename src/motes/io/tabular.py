@@ -181,7 +181,7 @@ def plain(argument: str, value: Any) -> Any:
 
 
 def by_columns(argument: str, value: Any, names: tuple[str, ...]) -> Any:
-    """Return the numbers of a table, `(t, x)`: the columns of these names in this order where it has them; anything else as it is.
+    """Return the numbers of a table, `(t, x)`: the columns of these names in this order where it has any of them; anything else as it is.
 
     Args:
         argument: what it is called in messages.
@@ -189,11 +189,15 @@ def by_columns(argument: str, value: Any, names: tuple[str, ...]) -> Any:
         names: of the columns.
 
     Raises:
-        MotesError: it holds something that is no number.
+        MotesError: it holds something that is no number, or has only some of the columns.
     """
     found, labels = unlabelled(argument, value)
     columns = () if labels is None else labels.columns
-    return found[:, [columns.index(name) for name in names]] if set(names) <= set(columns) else found
+    if not set(names) & set(columns):
+        return found
+    if not set(names) <= set(columns):
+        checks.refuse(argument, f"the columns {', '.join(names)}", ", ".join(columns))
+    return found[:, [columns.index(name) for name in names]]
 
 
 _READERS = {

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, linalg
+from motes.core.record import replace
 from motes.laws.conditional import LinearGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
@@ -30,12 +31,14 @@ class Component(NamedTuple):
         A: how they move, `(k, k)`.
         variances: of their noises, `(k,)`.
         row: by how much each adds to the measurement, `(k,)`; None where the inputs say so.
+        inputs: names of these inputs, where they have some.
     """
 
     names: tuple[str, ...]
     A: Any
     variances: Sequence[Any]
     row: Any
+    inputs: tuple[str, ...] = ()
 
 
 def assembled(components: Sequence[Component], irregular: Any, initial: Any) -> StateSpaceModel:
@@ -59,7 +62,8 @@ def assembled(components: Sequence[Component], irregular: Any, initial: Any) -> 
     if not isinstance(initial, Law):
         wide = as_variance("initial", initial)
         initial = Gaussian(jnp.zeros(len(names), variances.dtype), wide * jnp.eye(len(names), dtype=variances.dtype))
-    return StateSpaceModel(initial, LinearGaussian(A, jnp.diag(variances)), sensor, names)
+    model = StateSpaceModel(initial, LinearGaussian(A, jnp.diag(variances)), sensor, names)
+    return replace(model, input_names=components[-1].inputs)
 
 
 def _regressors(u: Any, count: int) -> jax.Array:

@@ -38,6 +38,7 @@ class Model(ABC):
 
     Attributes:
         names: names of the states.
+        input_names: names of the inputs of a step where these are an array and have some: of tables their columns are taken, in this order.
         circular: indices of the states that are angles in radians.
         linear: indices of the states that are declared to be conditionally linear-Gaussian; None where nobody did.
         modes: number of modes, the index of which is the last state, of a joined jump-Markov model; 0 of any other.
@@ -45,6 +46,7 @@ class Model(ABC):
     """
 
     names: tuple[str, ...]
+    input_names: tuple[str, ...] = ()
     circular: tuple[int, ...]
     linear: tuple[int, ...] | None = None
     modes: int = 0

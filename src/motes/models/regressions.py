@@ -16,7 +16,8 @@ def regression(irregular: Any, regressors: Any, initial: Any = WIDE) -> StateSpa
 
         y_t = u_t' coefficients_t + N(0, irregular),   coefficients_{t+1} = coefficients_t + N(0, variances)
 
-    The inputs are the regressors, an array `(t, k)`; one that is 1 everywhere gives an intercept.
+    The inputs are the regressors, an array `(t, k)`, or a table, of which columns are taken by name where regressors have names; one that
+    is 1 everywhere gives an intercept.
 
     Source: Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, section 7.2.
 
@@ -48,5 +49,5 @@ def of_regressors(regressors: Any) -> Component:
         checks.refuse("regressors", "how many there are, or the variance of each one's step", repr(regressors))
     if not variances:
         checks.refuse("regressors", "at least one", "none")
-    names = names or tuple(f"coefficient{i}" for i in range(len(variances)))
-    return Component(names, jnp.eye(len(variances)), variances, None)
+    states = names or tuple(f"coefficient{i}" for i in range(len(variances)))
+    return Component(states, jnp.eye(len(variances)), variances, None, names or ())

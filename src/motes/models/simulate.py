@@ -35,7 +35,7 @@ def simulate(key: KeyLike, model: Model, steps: int, inputs: Inputs = None) -> t
         MotesError: steps is not a positive whole number, or inputs and model do not fit together.
     """
     checks.positive_integer("simulate steps", steps)
-    inputs = checked_inputs(inputs, steps, "steps")
+    inputs = checked_inputs(inputs, steps, "steps", names=model.input_names)
     key = random.as_key(key)
     known = _drawn_from(model, inputs)
     return _simulate(key, known, steps, inputs, Beside(known))
@@ -61,7 +61,7 @@ def measurements(key: KeyLike, model: Model, xs: jax.Array, inputs: Inputs = Non
     size = model.as_state_space().size
     xs = checks.as_float("xs", xs).astype(model.dtype)
     checks.shape("xs", xs, (None, size), "(steps, states)")
-    inputs = checked_inputs(inputs, xs.shape[0], "xs")
+    inputs = checked_inputs(inputs, xs.shape[0], "xs", names=model.input_names)
     known = _drawn_from(model, inputs)
     return _measurements(random.as_key(key), known, xs, inputs, Beside(known))
 

@@ -39,6 +39,7 @@ class StateSpaceModel(Model):
         names: names of the states; x0, x1, ... when not given.
         noise_cross_cov: covariance `(x, y)` of the process noise that leads from t to t+1 with the measurement noise at t, an array
             or a user function; None when they are independent. Both noises must then be additive Gaussian.
+        input_names: see `Model`; regressors of `mo.models` have some.
     """
 
     initial: Law
@@ -46,6 +47,7 @@ class StateSpaceModel(Model):
     sensor: Conditional
     names: tuple[str, ...] = static(default=())
     noise_cross_cov: MatrixLike | None = None
+    input_names: tuple[str, ...] = static(default=())
 
     def __init__(
         self,
@@ -75,7 +77,8 @@ class StateSpaceModel(Model):
         sensor = sensor.of_states(names)
         if noise_cross_cov is not None:
             noise_cross_cov = _checked_cross_cov(noise_cross_cov, dynamics, sensor, size)
-        fields = {"initial": initial, "dynamics": dynamics, "sensor": sensor, "names": names, "noise_cross_cov": noise_cross_cov}
+        fields = {"initial": initial, "dynamics": dynamics, "sensor": sensor, "names": names, "noise_cross_cov": noise_cross_cov,
+                  "input_names": ()}  # fmt: skip
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 
@@ -210,7 +213,7 @@ def at_step(rows: Any, step: jax.Array | int) -> Any:
     return jax.tree.map(lambda leaf: leaf[step], rows)
 
 
-def checked_inputs(inputs: Inputs, steps: int, like: str, argument: str = "inputs") -> Inputs:
+def checked_inputs(inputs: Inputs, steps: int, like: str, argument: str = "inputs", names: tuple[str, ...] = ()) -> Inputs:
     """Return inputs as arrays of numbers; refuse those that do not have one row per step, or are not known in every row.
 
     Args:
@@ -218,10 +221,11 @@ def checked_inputs(inputs: Inputs, steps: int, like: str, argument: str = "input
         steps: number of steps.
         like: another argument that gives the number of steps.
         argument: name to use in the message.
+        names: of the columns that are taken of a table; see `Model.input_names`.
     """
     if inputs is None:
         return None
-    found = numbers_of(argument, inputs, rows=True)
+    found = numbers_of(argument, tabular.by_columns(argument, inputs, names) if names else inputs, rows=True)
     lengths = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in jax.tree.leaves(found)}
     if lengths - {steps}:
         like = like and f" as {like}"

@@ -36,7 +36,8 @@ def structural(
         seasonal: its period, `(period, variance)` or `(period, variance, harmonics)`, as `mo.models.seasonal` takes them, or a list of
             several seasons, whose states are then called `seasonal12` and so on.
         cycle: its period, `(period, variance)` or `(period, variance, damping)`, as `mo.models.cycle` takes them.
-        regressors: how many, or variances, as `mo.models.regression` takes them; the inputs are the regressors, `(t, k)`.
+        regressors: how many, or variances, as `mo.models.regression` takes them; the inputs are the regressors, `(t, k)`,
+            or a table with columns of their names.
         initial: law of the first state, or the variance of each of its components about zero.
 
     Raises:

@@ -52,7 +52,7 @@ def smooth(
                       "Smooth before saving, or run anew.")
     ys, inputs = parted("smooth", ys, inputs)
     count = history.info.ess.shape[0]
-    inputs = checked_inputs(inputs, count, "history")
+    inputs = checked_inputs(inputs, count, "history", names=model.input_names)
     if ys is not None:
         ys, inputs = checked_data(model, ys, inputs)
         form, of_run = jax.tree.map(one_of, ys), jax.tree.map(shape_of, history.last.y)

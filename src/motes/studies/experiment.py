@@ -68,7 +68,7 @@ class Experiment:
         checks.positive_integer("Experiment runs", self.runs)
         if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**32:
             checks.refuse("Experiment seed", "a whole number from 0 to 4294967295", repr(seed))
-        inputs = checked_inputs(self.inputs, steps, "", "Experiment inputs")
+        inputs = checked_inputs(self.inputs, steps, "", "Experiment inputs", model.input_names)
         if track is not None:
             track = checks.as_float("Experiment track", track).astype(model.dtype)
             checks.shape("Experiment track", track, (steps, model.as_state_space().size), "(steps, states)")
