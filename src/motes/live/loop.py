@@ -3,7 +3,7 @@
 import gc
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from motes.live import pace
 from motes.live.checkpoint import Checkpoint
 from motes.live.counts import LOG
 from motes.live.inbox import POLL, Inbox
-from motes.live.message import Form, Message, Unreadable
+from motes.live.message import Form, Unreadable
 from motes.live.order import Order, Placed
 from motes.live.settings import Live
 from motes.live.sink import Guarded, Sink
@@ -153,7 +153,7 @@ class Run:
             self.checkpoint.begin({"sinks": self._kept_by_sinks()})
         inbox = Inbox(self.source)
         saved = heard = time.monotonic()
-        silence, unread = SILENCE, 0
+        silence, unread, unsaved = SILENCE, 0, False
         try:
             while not ends():
                 came = inbox.take(POLL)
@@ -164,17 +164,19 @@ class Run:
                     break
                 said = False
                 for place, received in enumerate(came):
-                    message = self.source.understood(received)
-                    if message is not None:
-                        self._last, said = message.content, True
-                        for placed in self._placed(message):
-                            self._take(placed)
+                    said = self._heard(received) or said
                     if time.monotonic() - saved > self.settings.checkpoint:
                         self.save()
-                        saved = time.monotonic()
+                        saved, unsaved = time.monotonic(), False
+                    else:
+                        unsaved = True
                     if ends():
                         inbox.put_back(came[place + 1 :])
                         break
+                if unsaved and now - saved > self.settings.checkpoint:
+                    # nothing comes that would have it saved
+                    self.save()
+                    saved, unsaved = now, False
                 if said:
                     # a batch may have taken long
                     heard, silence, unread = time.monotonic(), SILENCE, 0
@@ -192,6 +194,31 @@ class Run:
         self.source.close()
         for sink in self.sinks:
             sink.close()
+
+    def _heard(self, received: Any) -> bool:
+        """Take what came, and tell whether it was a message."""
+        position, held = self.source.position, self._work.form.held
+        message = self.source.understood(received)
+        if message is None:
+            return False
+        if message.y is None:
+            self.counts.add("inputs")
+            self._last = message.content
+            return True
+        try:
+            for placed in self.order.take(message):
+                self._take(placed)
+        except MotesError:
+            # the run ends at it: who goes on begins with it
+            if not self.order.has(message):
+                self.source.position, self._work.form.held = position, held
+            raise
+        if self.order.has(message):
+            self._last = message.content
+        else:
+            # inputs of what was dropped, refused, or is of a step before do not hold for those that come
+            self._work.form.held = held
+        return True
 
     def _silent(self, seconds: float, told_after: float, unread: int) -> float:
         """Say that nothing comes that can be read, or end where patience does; return after how many seconds it is to be said next."""
@@ -225,12 +252,6 @@ class Run:
     def _kept_by_sinks(self) -> dict[str, int | None]:
         return {guarded.sink.name: guarded.kept() for guarded in self.sinks}
 
-    def _placed(self, message: Message) -> Iterable[Placed]:
-        if message.y is None:
-            self.counts.add("inputs")
-            return []
-        return self.order.take(message)
-
     def _take(self, placed: Placed) -> None:
         """Take a message at its place, write what came of it, and tell who watches."""
         began = time.perf_counter()
@@ -251,8 +272,7 @@ class Run:
         seconds = time.perf_counter() - began
         self.counts.add("steps")
         record = self._record(stream, stream.info, numbers, seconds, placed)
-        for sink in self.sinks:
-            sink.write(record)
+        self._written(record)
         told = Taken(stream.info, placed.message.y, self.order.window[-1].message.time, seconds, placed.back > 0)
         for watcher in self.watchers:
             watcher(stream, told)
@@ -261,6 +281,17 @@ class Run:
             gc.collect()
             gc.freeze()
         self._paced(seconds)
+
+    def _written(self, record: dict[str, Any]) -> None:
+        """Write a record to all sinks, also where one of them ends the run."""
+        left: BrokenPipeError | None = None
+        for sink in self.sinks:
+            try:
+                sink.write(record)
+            except BrokenPipeError as reason:
+                left = reason
+        if left is not None:
+            raise left
 
     def _step(self, placed: Placed, again: bool = False) -> bool:
         """Take a step, and tell whether its measurement could be used in any way; one that is taken again was counted before."""

@@ -295,6 +295,10 @@ def _values(name: str, found: Any, missing: bool = False) -> np.ndarray:
         array = np.asarray(checks.as_numbers(name, found), np.float64)
     except (checks.MotesError, ValueError, OverflowError):
         raise Unreadable(f"{name!r} is no number or list of numbers: {found!a:.60}") from None
+    if not missing:
+        with np.errstate(over="ignore"):
+            # an input that the filter cannot hold would hold all the same, for all that follow
+            array = array.astype(jnp.result_type(float))
     if np.isinf(array).any() or (not missing and np.isnan(array).any()):
         raise Unreadable(f"{name!r} is not finite: {found!a:.60}")
     return array
