@@ -21,6 +21,12 @@ AGAIN = (0.5, 1.0, 2.0, 5.0)
 """Seconds until a line that was broken is opened again, and so on."""
 
 
+def digest(file: int, position: int) -> str:
+    """Return a digest of the last bytes before a position of an open file, without the end of the line."""
+    begin = max(0, position - 1 - MARK)
+    return hashlib.sha256(os.pread(file, max(0, position - 1 - begin), begin)).hexdigest()[:16]
+
+
 class Lines(TextSource):
     """Lines of an open file; those of a plain file have positions. What is not read waits there."""
 
@@ -77,8 +83,7 @@ class Lines(TextSource):
         """Return a digest of the last bytes before a position of a plain file, without the end of the line, which may still be missing."""
         if not self.repeats:
             return None
-        begin = max(0, position - 1 - MARK)
-        return hashlib.sha256(os.pread(self._file, position - 1 - begin, begin)).hexdigest()[:16]
+        return digest(self._file, position)
 
     def check(self, position: int, mark: str | None) -> None:
         """See to it that a plain file is the one that was read up to a position.

@@ -125,7 +125,7 @@ class Run:
             # before anything is cut
             self.source.check(beside["position"], beside.get("mark"))
         for guarded in self.sinks:
-            guarded.sink.go_on(beside["sinks"].get(guarded.sink.name), cut=self.source.repeats)
+            guarded.sink.go_on(beside["sinks"].get(guarded.sink.place), cut=self.source.repeats)
         if self.stream is None:
             return False
         self._filter = self.stream.filter
@@ -249,8 +249,8 @@ class Run:
                   "mark": None if position is None else self.source.mark(position), "sinks": sinks}  # fmt: skip
         return self.checkpoint.save(self.stream, beside, len(self.order.window) - 1)
 
-    def _kept_by_sinks(self) -> dict[str, int | None]:
-        return {guarded.sink.name: guarded.kept() for guarded in self.sinks}
+    def _kept_by_sinks(self) -> dict[str, Any]:
+        return {guarded.sink.place: guarded.kept() for guarded in self.sinks}
 
     def _take(self, placed: Placed) -> None:
         """Take a message at its place, write what came of it, and tell who watches."""

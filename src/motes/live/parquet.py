@@ -4,6 +4,7 @@ A Parquet file is readable only once its end is written. So each row group is a 
 reads Parquet reads the folder as one table. The last file is written anew until it is full.
 """
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,11 @@ class Parquet(Sink):
         names = dict.fromkeys(name for row in self._rows for name in row)
         schema = arrow.schema([(name, types.get(name, arrow.float64())) for name in names])
         return arrow.Table.from_pylist([{name: _fitting(name, row.get(name)) for name in names} for row in self._rows], schema)
+
+    @property
+    def place(self) -> str:
+        """The whole path of the folder."""
+        return os.path.abspath(self._folder)
 
     @property
     def unwritten(self) -> int:

@@ -24,6 +24,11 @@ class Sink(ABC):
     name: str
 
     @property
+    def place(self) -> str:
+        """What a checkpoint knows it by, however its name is spelled and wherever the command is given."""
+        return self.name
+
+    @property
     def unwritten(self) -> int:
         """Number of records that were taken and are not written yet."""
         return 0
@@ -43,11 +48,11 @@ class Sink(ABC):
             OSError: it cannot be.
         """
 
-    def kept(self) -> int | None:
-        """Return how far was written, safe or not; None where nothing is kept."""
+    def kept(self) -> Any:
+        """Return how far was written, safe or not, as JSON can hold it; None where nothing is kept."""
         return None
 
-    def go_on(self, kept: int | None, cut: bool) -> None:  # noqa: B027 (most keep nothing)
+    def go_on(self, kept: Any, cut: bool) -> None:  # noqa: B027 (most keep nothing)
         """Begin where a checkpoint was; with `cut` leave out what was written after it, since it comes again."""
 
     def close(self) -> None:  # noqa: B027 (some have nothing to close)
@@ -86,7 +91,7 @@ class Guarded:
             LOG.warning("sink %s: works again; %d records are missing.", self.sink.name, self._missing)
             self._missing, self._fails = 0, False
 
-    def kept(self) -> int | None:
+    def kept(self) -> Any:
         """Return how far was written, after seeing to it that all of it is safe: where that fails, too, nothing is to come twice."""
         kept = self.sink.kept()
         try:
