@@ -6,11 +6,12 @@ import select
 import stat
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from motes.io.files import foreign, reject
 from motes.live.counts import LOG
-from motes.live.message import LONGEST, Form
+from motes.live.message import LONGEST, Form, Unreadable, parsed
 from motes.live.source import Received, TextSource
 
 PIECE = 1 << 16
@@ -54,11 +55,12 @@ class Lines(TextSource):
 
     def _last(self) -> Sequence[Received] | None:
         """Return the last line where it has no end and is whole all the same: an object of JSON; half a number looks like a whole one."""
-        rest = self._rest.strip()
-        if not rest:
+        if not self._rest.strip():
             return None
-        if rest.startswith(b"{") and rest.endswith(b"}"):
-            return self._cut(b"\n")
+        # half a line may end as a whole one does
+        with suppress(Unreadable):
+            if parsed(self._rest) is not None:
+                return self._cut(b"\n")
         LOG.warning("%s: the last line has no end and is left out%s.", self.name, " until it has one" if self.repeats else "")
         return None
 
@@ -84,16 +86,6 @@ class Lines(TextSource):
         if not self.repeats:
             return None
         return digest(self._file, position)
-
-    def check(self, position: int, mark: str | None) -> None:
-        """See to it that a plain file is the one that was read up to a position.
-
-        Raises:
-            FileError: it is another, or was cut.
-        """
-        if self.repeats and mark is not None and self.mark(position) != mark:
-            reject(self.name, f"the file that was read up to byte {position}", "another one, or one that was cut",
-                   "Give that file, or set resume = false (--live.no-resume) to begin anew with this one.")  # fmt: skip
 
     def close(self) -> None:
         """Close the file."""
@@ -134,12 +126,17 @@ class Serial(TextSource):
         if speed is None:
             reject(self._path, "a usual speed, such as ?baud=9600 or 115200", f"{self._baud}")
         file = os.open(self._path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
-        if os.isatty(file):
-            # what has come already stays
-            tty.setraw(file, termios.TCSANOW)
-            settings = termios.tcgetattr(file)
-            settings[4] = settings[5] = speed
-            termios.tcsetattr(file, termios.TCSANOW, settings)
+        try:
+            if os.isatty(file):
+                # what has come already stays
+                tty.setraw(file, termios.TCSANOW)
+                settings = termios.tcgetattr(file)
+                settings[4] = settings[5] = speed
+                termios.tcsetattr(file, termios.TCSANOW, settings)
+        except termios.error as reason:
+            # it broke in between
+            os.close(file)
+            raise OSError(*reason.args) from None
         return Lines(self.name, self.form, file)
 
     def receive(self, timeout: float) -> Sequence[Received] | None:

@@ -132,7 +132,7 @@ class Form:
         if len(text) > LONGEST:
             raise Unreadable(f"a message of {len(text)} bytes, expected at most {LONGEST}")
         text = text.removeprefix(MARK)
-        content = _parsed(text)
+        content = parsed(text)
         return self.message(self._of_numbers(text) if content is None else content)._replace(arrived=arrived)
 
     def message(self, content: dict[str, Any]) -> Message:
@@ -246,7 +246,7 @@ class Form:
         return dict(zip(self.fields, numbers, strict=True))
 
 
-def _parsed(text: bytes) -> dict[str, Any] | None:
+def parsed(text: bytes) -> dict[str, Any] | None:
     """Return an object of JSON; None of what is none."""
     if not text.lstrip().startswith(b"{"):
         return None

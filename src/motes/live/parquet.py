@@ -13,6 +13,7 @@ from motes.core.checks import need
 from motes.io.archive import durable_folder, whole_file
 from motes.io.files import foreign, lock, reject
 from motes.io.unfinished import remove_leftovers
+from motes.live.counts import LOG
 from motes.live.sink import IN_USE, Sink
 
 ROWS = 10_000
@@ -105,6 +106,9 @@ class Parquet(Sink):
             there = table.to_pylist()
             self._rows = there if rows is None else there[: rows % ROWS]
             self._written = len(there) if rows is None else 0
+        missing = 0 if rows is None else rows % ROWS - len(self._rows)
+        if missing:
+            LOG.warning("sink %s: %d records from before the checkpoint are not in it.", self.name, missing)
 
     def close(self) -> None:
         """Write what is left over, and let others write."""
