@@ -84,7 +84,7 @@ def test_watchers_see_each_step_and_numbers_without_time_are_steps():
 
 @pytest.mark.parametrize("came", [[], [(b"no message", None, None)]], ids=["nothing", "nonsense"])
 def test_a_source_that_never_comes_is_one_line(monkeypatch, caplog, came):
-    monkeypatch.setattr("motes.live.loop.SILENCE", 0.02)
+    monkeypatch.setattr("motes.live.silence.SILENCE", 0.02)
     shape = form()
     silent = Given([], shape)
     silent.receive = lambda timeout: time.sleep(0.02) or came

@@ -4,10 +4,9 @@ import errno
 import json
 import os
 import pty
-import termios
 import socket
+import termios
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest

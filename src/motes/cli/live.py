@@ -214,5 +214,6 @@ def _told_apart(wish: Asked, job: "Job", name: str, count: int | None, form: "Fo
     model = digest_of(lambda: canonical(job.model, *jax.tree.map(one_of, (job.inputs, job.ys))))
     names = (form.columns, form.inputs, form.time, form.number, form.fields)
     # what waits is given out again only to a run that waits, too; the other rules may change
-    return identity(application=wish.application.name, filter=name, number_of_particles=count, seed=wish.settings.seed, source=_place_of(asked.source),
-                    names_in_messages=names, policy_of_late_messages=asked.late == "wait", model=model)  # fmt: skip
+    return identity(application=wish.application.name, filter=name, number_of_particles=count, seed=wish.settings.seed,
+                    source=_place_of(asked.source), names_in_messages=names, policy_of_late_messages=asked.late == "wait",
+                    model=model)  # fmt: skip

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core.checks import CollapseError, MotesError, refuse
+from motes.core.checks import CollapseError, MotesError
 from motes.core.packed import Packed
 from motes.filters.info import Info
 from motes.filters.interface import Filter
@@ -23,11 +23,10 @@ from motes.live.inbox import POLL, Inbox
 from motes.live.message import Form, Unreadable
 from motes.live.order import Order, Placed
 from motes.live.settings import Live
-from motes.live.sink import Guarded, Sink
+from motes.live.silence import Silence
+from motes.live.sink import Guarded, Sink, write_to_all
 from motes.live.source import Source
 
-SILENCE = 10.0
-"""Seconds without a message until that is said, and then after twice as long, and so on."""
 SETTLED = 100
 """Steps after which what is alive then is taken to stay: Python need not look through it again for what can be freed."""
 
@@ -152,8 +151,8 @@ class Run:
         if self.checkpoint is not None and self.stream is None:
             self.checkpoint.begin({"sinks": self._kept_by_sinks()})
         inbox = Inbox(self.source)
-        saved = heard = time.monotonic()
-        silence, unread, unsaved = SILENCE, 0, False
+        silence = Silence(self.source.name, self.settings.patience)
+        saved, unsaved = time.monotonic(), False
         try:
             while not ends():
                 came = inbox.take(POLL)
@@ -179,10 +178,9 @@ class Run:
                     saved, unsaved = now, False
                 if said:
                     # a batch may have taken long
-                    heard, silence, unread = time.monotonic(), SILENCE, 0
+                    silence.broken()
                 else:
-                    unread += len(came)
-                    silence = self._silent(now - heard, silence, unread)
+                    silence.goes_on(now, len(came))
         finally:
             inbox.close()
             if not self.save() and self.checkpoint is not None and self.stream is None:
@@ -203,36 +201,20 @@ class Run:
             return False
         if message.y is None:
             self.counts.add("inputs")
-            self._last = message.content
-            return True
         try:
-            for placed in self.order.take(message):
+            for placed in () if message.y is None else self.order.take(message):
                 self._take(placed)
         except MotesError:
             # the run ends at it: who goes on begins with it
             if not self.order.has(message):
                 self.source.position, self._work.form.held = position, held
             raise
-        if self.order.has(message):
+        if message.y is None or self.order.has(message):
             self._last = message.content
         else:
             # inputs of what was dropped, refused, or is of a step before do not hold for those that come
             self._work.form.held = held
         return True
-
-    def _silent(self, seconds: float, told_after: float, unread: int) -> float:
-        """Say that nothing comes that can be read, or end where patience does; return after how many seconds it is to be said next."""
-        if self.settings.patience and seconds > self.settings.patience:
-            refuse(f"source {self.source.name}", f"a message within {self.settings.patience:g} s",
-                   f"{unread} that could not be read" if unread else "none",
-                   "Is it sent there? Set patience = 0 to wait for ever.")  # fmt: skip
-        if seconds <= told_after:
-            return told_after
-        if unread:
-            LOG.warning("%d messages came from %s for %.0f s, and none could be read.", unread, self.source.name, seconds)
-        else:
-            LOG.warning("nothing has come from %s for %.0f s.", self.source.name, seconds)
-        return 2 * told_after
 
     @property
     def kept_at(self) -> int | None:
@@ -272,7 +254,7 @@ class Run:
         seconds = time.perf_counter() - began
         self.counts.add("steps")
         record = self._record(stream, stream.info, numbers, seconds, placed)
-        self._written(record)
+        write_to_all(self.sinks, record)
         told = Taken(stream.info, placed.message.y, self.order.window[-1].message.time, seconds, placed.back > 0)
         for watcher in self.watchers:
             watcher(stream, told)
@@ -281,17 +263,6 @@ class Run:
             gc.collect()
             gc.freeze()
         self._paced(seconds)
-
-    def _written(self, record: dict[str, Any]) -> None:
-        """Write a record to all sinks, also where one of them ends the run."""
-        left: BrokenPipeError | None = None
-        for sink in self.sinks:
-            try:
-                sink.write(record)
-            except BrokenPipeError as reason:
-                left = reason
-        if left is not None:
-            raise left
 
     def _step(self, placed: Placed, again: bool = False) -> bool:
         """Take a step, and tell whether its measurement could be used in any way; one that is taken again was counted before."""

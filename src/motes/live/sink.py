@@ -4,6 +4,7 @@ import json
 import math
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 from motes.live.counts import LOG
@@ -119,6 +120,22 @@ class Guarded:
             LOG.warning("sink %s: %s; the filter goes on, and it is tried again every %g s.", self.sink.name,
                         getattr(reason, "strerror", None) or str(reason).rstrip("."), AGAIN)  # fmt: skip
         self._until, self._fails = time.monotonic() + AGAIN, True
+
+
+def write_to_all(sinks: Sequence[Guarded], record: dict[str, Any]) -> None:
+    """Write a record to all sinks, also where one that nobody reads any more ends the run.
+
+    Raises:
+        BrokenPipeError: one did.
+    """
+    left: BrokenPipeError | None = None
+    for sink in sinks:
+        try:
+            sink.write(record)
+        except BrokenPipeError as reason:
+            left = reason
+    if left is not None:
+        raise left
 
 
 def line_of(record: dict[str, Any]) -> bytes:
