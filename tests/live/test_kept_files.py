@@ -10,7 +10,7 @@ from live_parts import folder_of, records, run, texts
 from motes.cli.main import main
 from motes.live import parquet
 from motes.live.checkpoint import Checkpoint, identity
-from motes.live.json_lines import JSONLines, to_file
+from motes.live.json_lines import JSONLines, to_file, to_open
 from motes.live.lines import of_file
 from motes.live.message import Form, Names
 from motes.live.places import sink_at, sinks_at, source_at
@@ -46,11 +46,44 @@ def test_a_sink_that_is_emptied_removed_or_replaced_while_it_runs_is_told_and_go
     path.write_text('{"step": "another\'s"}\n')
     sink.write({"step": 3})
     assert steps(tmp_path / "out.1") == [2] and steps(path) == ["another's", 3] and len(caplog.records) == 3
-    assert sink.kept() == path.stat().st_size
-    # what is not a whole line long is another file than at the checkpoint
-    sink.go_on(5, cut=True)
+    size, mark = sink.kept()
+    assert size == path.stat().st_size
+    # what has other bytes there is another file than at the checkpoint
+    sink.go_on((size - 12, mark), cut=True)
     assert steps(path) == ["another's", 3] and "another file than at the checkpoint" in caplog.records[-1].getMessage()
     sink.close()
+
+
+@pytest.mark.parametrize("flags", [os.O_WRONLY, os.O_RDWR])
+def test_a_file_that_is_another_one_than_at_the_checkpoint_is_not_cut(tmp_path, caplog, flags):
+    """Also where its lines are as long, and it was empty then: a shell appends to another file than the last time."""
+    for before in ("", '{"step": 0}\n'):
+        (tmp_path / "monday").write_text(before)
+        (tmp_path / "tuesday").write_text('{"step": 7}\n{"step": 8}\n')
+        sinks = [JSONLines("standard output", os.open(tmp_path / day, flags | os.O_APPEND)) for day in ("monday", "tuesday")]
+        kept = json.loads(json.dumps(sinks[0].kept()))
+        for sink in sinks:
+            sink.write({"step": 9})
+            sink.go_on(kept, cut=True)
+            sink.close()
+        assert (tmp_path / "monday").read_text() == before and steps(tmp_path / "tuesday") == [7, 8, 9]
+        assert "another file than at the checkpoint" in caplog.records[-1].getMessage()
+
+
+def test_lines_begin_behind_half_a_line_of_somebody_else(tmp_path):
+    path = tmp_path / "out.jsonl"
+    path.write_text('{"step": 0}')
+    sink = to_file(str(path))
+    kept = sink.kept()
+    for last in (1, 2):
+        sink.go_on(kept, cut=True)
+        sink.write({"step": last})
+        assert steps(path) == [0, last]
+    with path.open("a") as file:
+        file.write("{}")
+    sink.write({"step": 3})
+    sink.close()
+    assert path.read_text().endswith('{"step": 2}\n{}\n{"step": 3}\n')
 
 
 def test_a_sink_that_another_run_writes_to_is_refused_until_that_ends(tmp_path):
@@ -58,8 +91,24 @@ def test_a_sink_that_another_run_writes_to_is_refused_until_that_ends(tmp_path):
     sink = to_file(str(path))
     with pytest.raises(mo.FileError, match="one that no other run writes to, got one in use"):
         to_file(str(path))
+    with pytest.raises(mo.FileError, match="standard output: expected one that no other run writes to, got one in use"):
+        to_open("standard output", os.open(path, os.O_WRONLY | os.O_APPEND))
     sink.close()
     to_file(str(path)).close()
+
+
+def test_a_command_goes_on_from_another_folder(tmp_path, monkeypatch, capsys):
+    path = folder_of(tmp_path, lines=6)
+    (tmp_path / "elsewhere").mkdir()
+    whole = (tmp_path / "in.jsonl").read_text()
+    (tmp_path / "in.jsonl").write_text("".join(line + "\n" for line in whole.splitlines()[:4]))
+    for folder, name in ((tmp_path, "own.toml"), (tmp_path / "elsewhere", str(path))):
+        monkeypatch.chdir(folder)
+        assert main(["run", name]) == 0, capsys.readouterr().err
+        with (tmp_path / "track.jsonl").open("a") as file:
+            file.write('{"step": "after the checkpoint"}\n')
+        (tmp_path / "in.jsonl").write_text(whole)
+    assert steps(tmp_path / "track.jsonl") == [*range(6), "after the checkpoint"]
 
 
 def test_a_source_is_known_again_by_what_was_read_of_it(tmp_path):
@@ -104,13 +153,13 @@ def test_parquet_has_the_same_columns_whatever_comes_and_counts_what_it_could_no
 
 def test_half_a_line_waits_for_its_end(tmp_path, caplog):
     path = tmp_path / "in.csv"
-    for last, lines in (("0.2,1.", 1), ('{"a": 1', 1), ('{"a": 12}', 2)):
+    for last, lines in (("0.2,1.", 1), ('{"a": 1', 1), ('{"h": {"seq": 7}', 1), ('{"a": 12}', 2)):
         path.write_text("0.1,2\n" + last)
         source = of_file(str(path), Form(Names(("a",))))
         found = [*(source.receive(0.0) or []), *(source.receive(0.0) or [])]
         assert len(found) == lines and found[0][1] == 6
         source.close()
-    assert [one.getMessage() for one in caplog.records] == [f"{path}: the last line has no end and is left out until it has one."] * 2
+    assert [one.getMessage() for one in caplog.records] == [f"{path}: the last line has no end and is left out until it has one."] * 3
 
 
 def test_a_closed_stream_and_a_sink_that_is_the_source_are_one_line(tmp_path, monkeypatch):

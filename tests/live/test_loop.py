@@ -2,6 +2,7 @@
 
 import json
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from motes.live import pace
 from motes.live.checkpoint import identity
 from motes.live.loop import Run, Work
 from motes.live.settings import Live
+from motes.live.sink import Guarded
 
 
 def test_a_live_run_has_the_bits_of_a_run():
@@ -82,7 +84,7 @@ def test_watchers_see_each_step_and_numbers_without_time_are_steps():
 
 @pytest.mark.parametrize("came", [[], [(b"no message", None, None)]], ids=["nothing", "nonsense"])
 def test_a_source_that_never_comes_is_one_line(monkeypatch, caplog, came):
-    monkeypatch.setattr("motes.live.loop.SILENCE", 0.02)
+    monkeypatch.setattr("motes.live.silence.SILENCE", 0.02)
     shape = form()
     silent = Given([], shape)
     silent.receive = lambda timeout: time.sleep(0.02) or came
@@ -199,3 +201,40 @@ def test_what_had_come_and_was_not_taken_is_counted_where_it_cannot_be_read_agai
         found.go(lambda found=found: found.counts.of["steps"] == 3)
         assert found.counts.of["left"] == left
     assert found.counts.told() == "messages: 3 taken; 4 had come and were not taken when it was told to end."
+
+
+def test_a_sink_that_nobody_reads_ends_the_run_and_loses_no_record_of_others(tmp_path):
+    class Left(Kept):
+        name = "left"
+
+        def write(self, record):
+            if len(self.records) == 2:
+                raise BrokenPipeError
+            super().write(record)
+
+    lines, sink = texts(6), Kept()
+    first = run(lines, tmp_path / "run.npz", sink)
+    first.sinks.insert(0, Guarded(Left()))
+    with pytest.raises(BrokenPipeError):
+        first.go(lambda: False)
+    again = run(lines, tmp_path / "run.npz", sink)
+    assert again.restore()
+    again.go(lambda: False)
+    assert [record["step"] for record in sink.records] == list(range(6))
+
+
+def test_what_was_taken_before_a_silence_is_saved_during_it_and_once(tmp_path, monkeypatch):
+    found, saved, quiet = run(texts(5), tmp_path / "run.npz"), [], iter(range(1, 21))
+    given, save, clock = found.source.receive, found.save, [0.0]
+    monkeypatch.setattr("motes.live.loop.time", SimpleNamespace(monotonic=lambda: clock[0], perf_counter=time.perf_counter))
+
+    def receive(timeout):
+        came = given(timeout)
+        if came is not None or next(quiet, None) is None:
+            return came
+        clock[0] += 3.0
+        return []
+
+    found.source.receive, found.save = receive, lambda: saved.append(clock[0]) or save()
+    found.go(lambda: False)
+    assert saved == [12.0, 60.0] and found.checkpoint.step == 4

@@ -215,3 +215,51 @@ def test_what_no_particle_explained_is_counted_once_however_often_it_is_taken():
     lines[8] = json.dumps(json.loads(lines[8]) | {"a": 1e9}).encode()
     found = went(moved(lines, [(4, 9), (6, 10)]))[1]
     assert found.counts.of["late"] == 2 and found.counts.of["collapsed"] == 1
+
+
+def test_what_comes_twice_while_all_waits_is_no_source_that_began_anew(tmp_path):
+    lines = [line for line in texts(STUBBORN + 5) for _ in range(2)]
+    ordered, _ = went(lines[::2])
+    found, whole = went(lines, late="wait", wait=10.0)
+    assert found == ordered and whole.counts.of["duplicates"] == len(ordered) and not whole.counts.of["jumps"]
+    # so it is where it was killed among them
+    sink = Kept()
+    run(lines, tmp_path / "run.npz", sink, late="wait", wait=1.0).go(after(30))
+    again = run(lines, tmp_path / "run.npz", sink, late="wait", wait=1.0)
+    assert again.restore()
+    again.go(lambda: False)
+    assert sink.records == ordered
+
+
+@pytest.mark.parametrize("rules", [{}, {"late": "wait", "wait": 0.25}])
+def test_the_message_at_which_a_clock_stopped_the_run_is_taken_by_one_that_goes_on(tmp_path, rules):
+    lines = texts(12)
+    lines[6:] = [json.dumps(json.loads(line) | {"t": json.loads(line)["t"] - 100.0}).encode() for line in lines[6:]]
+    sink = Kept()
+    for _ in range(2):
+        first = run(lines, tmp_path / "run.npz", sink, clock_jump="stop", **rules)
+        first.restore()
+        with pytest.raises(mo.MotesError, match="clock_jump"):
+            first.go(lambda: False)
+        assert [record["number"] for record in sink.records] == list(range(6))
+    again = run(lines, tmp_path / "run.npz", sink, **rules)
+    assert again.restore()
+    again.go(lambda: False)
+    assert [record["number"] for record in sink.records] == list(range(12))
+
+
+def test_inputs_of_what_was_not_taken_at_the_end_do_not_hold(tmp_path):
+    """Twice, too late, at a place before, without a time, or beyond the numbers of the filter: the next without inputs has those before."""
+    lines = [json.loads(line) for line in texts(8)]
+    last = {name: value for name, value in lines.pop().items() if name != "push"}
+    came = [lines[0] | {"push": 70.0}, lines[2], {"k": 6, "a": 1.0, "push": 80.0}, lines[4] | {"t": 0.65, "push": 1e300}]
+    late = lines.pop(5)
+    ordered = [json.dumps(one).encode() for one in (*lines[:5], late, *lines[5:], last)]
+    found = [json.dumps(one).encode() for one in (*lines, late, *came, last)]
+    sink = Kept()
+    run(found[:-1], tmp_path / "run.npz", sink, lag=3).go(lambda: False)
+    again = run(found, tmp_path / "run.npz", sink, lag=3)
+    assert again.restore()
+    again.go(lambda: False)
+    assert same(again, went(ordered)[1])
+    assert [again.counts.of[kind] for kind in ("late", "dropped", "duplicates", "unreadable")] == [1, 1, 1, 2]

@@ -5,8 +5,8 @@ import json
 import os
 import pty
 import socket
+import termios
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -159,6 +159,15 @@ def test_a_serial_line_that_breaks_is_opened_again(monkeypatch, tmp_path):
     assert heard(source, 1)[0].number == 2
     os.close(theirs), os.close(ours)
     assert heard(source, 1, 0.2) == []
+
+    def breaking(*given):
+        raise termios.error(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tty.setraw", breaking)
+        ours, theirs = line()
+        assert heard(source, 1, 0.2) == []
+        os.close(theirs), os.close(ours)
     ours, theirs = line()
     os.write(ours, text(3) + b"\n")
     assert heard(source, 1)[0].number == 3 and source.counts.of["reconnected"] == 1
@@ -178,6 +187,11 @@ def test_recordings_are_replayed_at_their_speed():
     assert len(heard(paced, 6)) == 6 and 0.09 < time.monotonic() - began < 5 and paced.position == 6
     paced.go_on(4)
     assert [one.content for one in heard(paced, 2)] == [4, 5]
+    # a run goes on with the recording that it had, which may have grown, and with no other
+    Replay("rows", np.arange(9.0)[:, None], {"push": np.arange(9.0)[:, None]}, speed=0).check(4, fast.mark(4))
+    for other in (ys + 1, ys[:3]):
+        with pytest.raises(mo.FileError, match="rows: expected the recording that was taken up to row 4, got another one"):
+            Replay("rows", other, {"push": other}).check(4, fast.mark(4))
 
 
 @pytest.mark.parametrize(("address", "why"), [
@@ -237,7 +251,7 @@ def test_what_fails_again_after_it_was_well_is_told_again_and_nothing_comes_twic
     path = tmp_path / "out.jsonl"
     out = Guarded(json_lines.to_file(str(path)))
     out.write(row(0))
-    size = path.stat().st_size
+    kept = out.kept()
 
     def failing(*given):
         raise OSError(errno.EIO, "Input/output error")
@@ -245,16 +259,16 @@ def test_what_fails_again_after_it_was_well_is_told_again_and_nothing_comes_twic
     for _ in range(2):
         with monkeypatch.context() as patch:
             patch.setattr(os, "fsync", failing)
-            assert out.kept() == out.kept() == size
-        assert out.kept() == size
+            assert out.kept() == out.kept() == kept
+        assert out.kept() == kept
     out.write(row(1))
     # of what came after that checkpoint all comes again
-    out.sink.go_on(size, cut=True)
+    out.sink.go_on(kept, cut=True)
     out.close()
     assert len(caplog.records) == 2 and out.lost == 0 and len(path.read_text().splitlines()) == 1
 
 
-def test_parquet_grows_by_whole_row_groups(tmp_path, monkeypatch):
+def test_parquet_grows_by_whole_row_groups(tmp_path, monkeypatch, caplog):
     pq = pytest.importorskip("pyarrow.parquet")
     monkeypatch.setattr(parquet, "ROWS", 4)
     path = tmp_path / "track.parquet"
@@ -271,7 +285,8 @@ def test_parquet_grows_by_whole_row_groups(tmp_path, monkeypatch):
     for step in range(6, 9):
         out.write(row(step))
     assert steps() == [0, 1, 2, 3, 4, 5, 6, 7]
-    # killed here; what came after the checkpoint comes again
+    # killed here, which frees what it holds; what came after the checkpoint comes again
+    out._lock.release()
     out = sink_at(str(path))
     out.go_on(6, cut=True)
     out.write(row(6))
@@ -286,7 +301,11 @@ def test_parquet_grows_by_whole_row_groups(tmp_path, monkeypatch):
     out.go_on(3, cut=False)
     out.write(row(9))
     out.close()
-    assert steps() == [0, 1, 2, 9] and len(list(path.glob("*"))) == 1 and not list(Path(path).glob(".*"))
+    out = sink_at(str(path))
+    out.go_on(7, cut=True)
+    assert caplog.records[-1].getMessage() == f"sink {path}: 3 records from before the checkpoint are not in it."
+    out.close()
+    assert steps() == [0, 1, 2, 9] and [one.name for one in path.glob("*") if one.name != ".lock"] == ["part-00000000.parquet"]
 
 
 @pytest.mark.parametrize("bad", [b'{"speed": "abc"}', b'{"speed": [1, 2]}', b'{"a": "x", "b": 0, "speed": 99}',

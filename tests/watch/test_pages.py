@@ -171,6 +171,16 @@ def test_alarms_are_told_in_words(opened):
     assert found["findings"] and all(one["text"] and one["name"] for one in found["findings"]) and found["told"]
 
 
+def test_the_filter_is_told_as_it_is_at_work(opened):
+    """Not as it was when the page was opened: a budget may choose another number of particles."""
+    stream = small_stream()
+    page = opened(stream)
+    assert shown(page, stream=stream)[0]["filter"] == repr(stream.filter)
+    stream.resize(stream.filter.with_particles(77))
+    found = shown(page, stream=stream)[0]["filter"]
+    assert found == repr(stream.filter) and "n=77" in found and "n=77" in page.report()
+
+
 def test_rows_are_thinned_and_alarms_stay(opened):
     recorder = opened(small_stream())._recorder
     for step in range(20_000):

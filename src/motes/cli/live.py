@@ -4,6 +4,7 @@ Results go to the sinks, what happens to the log on the error stream; the run is
 """
 
 import logging
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -196,6 +197,11 @@ def form_of(job: "Job", data: Any, asked: Any) -> "Form":
     return Form(names, y, None if job.inputs is None else at_step(job.inputs, 0), timed=bool(time))
 
 
+def _place_of(source: str) -> str:
+    """Return the address of a source, of a file its whole path: the command may be given from another folder."""
+    return os.path.abspath(source) if os.path.isfile(source) else source
+
+
 def _told_apart(wish: Asked, job: "Job", name: str, count: int | None, form: "Form") -> dict[str, str]:
     """Return what tells a run from others: what it reads and by which rules, and the model where functions can be compared."""
     import jax
@@ -208,5 +214,6 @@ def _told_apart(wish: Asked, job: "Job", name: str, count: int | None, form: "Fo
     model = digest_of(lambda: canonical(job.model, *jax.tree.map(one_of, (job.inputs, job.ys))))
     names = (form.columns, form.inputs, form.time, form.number, form.fields)
     # what waits is given out again only to a run that waits, too; the other rules may change
-    return identity(application=wish.application.name, filter=name, number_of_particles=count, seed=wish.settings.seed, source=asked.source,
-                    names_in_messages=names, policy_of_late_messages=asked.late == "wait", model=model)  # fmt: skip
+    return identity(application=wish.application.name, filter=name, number_of_particles=count, seed=wish.settings.seed,
+                    source=_place_of(asked.source), names_in_messages=names, policy_of_late_messages=asked.late == "wait",
+                    model=model)  # fmt: skip

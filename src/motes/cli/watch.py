@@ -52,7 +52,8 @@ def watched(wish: Asked, written: Any = None) -> None:
         refuse("rate", "steps a second, at least 0", settings.rate)
     if settings.stay is not None and not 0 <= settings.stay < threading.TIMEOUT_MAX:
         refuse("stay", "seconds, at least 0", settings.stay)
-    budget = seconds(settings.budget) if settings.budget else None
+    said = settings.budget or (settings.live.budget if settings.live.is_asked_for else "")
+    budget = seconds(said) if said else None
     from motes.cli import running
     from motes.watch.page import listening
 

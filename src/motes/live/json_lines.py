@@ -2,11 +2,13 @@
 
 import os
 import stat
+from contextlib import suppress
 from typing import Any
 
 from motes.io.archive import POSIX
 from motes.io.files import foreign, reject
 from motes.live.counts import LOG
+from motes.live.lines import digest
 from motes.live.sink import IN_USE, Sink, line_of
 
 
@@ -21,6 +23,11 @@ class JSONLines(Sink):
         # one that a shell opened with >> stands at its beginning until it is written to
         self._end = os.lseek(file, 0, os.SEEK_END) if self._plain else 0
 
+    @property
+    def place(self) -> str:
+        """The whole path of a file."""
+        return self.name if self._path is None else os.path.abspath(self._path)
+
     def write(self, record: dict[str, Any]) -> None:
         """Write a line; of a file that is full what is only half of one is taken back."""
         line = line_of(record) + b"\n"
@@ -29,6 +36,9 @@ class JSONLines(Sink):
                 line = line[os.write(self._file, line) :]
             return
         self._look()
+        if not _ends_a_line(self._file, self._end):
+            # half a line of somebody else's
+            line = b"\n" + line
         written = os.write(self._file, line)
         if written < len(line):
             os.ftruncate(self._file, os.lseek(self._file, 0, os.SEEK_CUR) - written)
@@ -47,25 +57,26 @@ class JSONLines(Sink):
         size = os.fstat(self._file).st_size
         if size < self._end:
             LOG.warning("sink %s: it was cut from %d to %d bytes; lines go on behind these.", self.name, self._end, size)
-            os.lseek(self._file, 0, os.SEEK_END)
+        if size != self._end:
+            self._end = os.lseek(self._file, 0, os.SEEK_END)
 
     def secure(self) -> None:
         """Force the lines to disk."""
         if self._plain:
             os.fsync(self._file)
 
-    def kept(self) -> int | None:
-        """Return how many bytes the lines are."""
-        return self._end if self._plain else None
+    def kept(self) -> tuple[int, str] | None:
+        """Return how many bytes the lines are, and what the file is known by there."""
+        return (self._end, _mark(self._file, self._end)) if self._plain else None
 
-    def go_on(self, kept: int | None, cut: bool) -> None:
+    def go_on(self, kept: Any, cut: bool) -> None:
         """Go on behind the lines that are there, or that were there at the checkpoint."""
         if not self._plain:
             return
         if cut and kept is not None:
-            size = os.fstat(self._file).st_size
-            if kept <= size and _ends_a_line(self._file, kept):
-                os.ftruncate(self._file, kept)
+            size, (end, mark) = os.fstat(self._file).st_size, kept
+            if end <= size and mark == _mark(self._file, end):
+                os.ftruncate(self._file, end)
             elif size:
                 LOG.warning("sink %s: it is another file than at the checkpoint; lines go on behind what is in it.", self.name)
         self._end = os.lseek(self._file, 0, os.SEEK_END)
@@ -85,9 +96,25 @@ def to_file(path: str) -> JSONLines:
         return JSONLines(path, _to_append(path), path)
 
 
+def to_open(name: str, file: int) -> JSONLines:
+    """Take a file that is open, such as standard output.
+
+    Raises:
+        FileError: another run writes to it.
+    """
+    _lock(file, name)
+    return JSONLines(name, file)
+
+
 def _to_append(path: str) -> int:
     """Open a file to write behind what is in it, which no other run does until it is closed."""
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+    _lock(file, path)
+    return file
+
+
+def _lock(file: int, name: str) -> None:
+    """Have no other run write to an open file until it is closed; it is closed where another does."""
     if POSIX and stat.S_ISREG(os.fstat(file).st_mode):
         import fcntl
 
@@ -95,11 +122,10 @@ def _to_append(path: str) -> int:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(file)
-            reject(path, *IN_USE)
+            reject(name, *IN_USE)
         except OSError:
             # some file systems have no locks
-            return file
-    return file
+            return
 
 
 def _is_at(file: int, path: str) -> bool:
@@ -108,6 +134,15 @@ def _is_at(file: int, path: str) -> bool:
         return os.path.samestat(os.fstat(file), os.stat(path))
     except FileNotFoundError:
         return False
+
+
+def _mark(file: int, size: int) -> str:
+    """Return what an open file is known by: the last of so many bytes, or what it is to the system where none can be read."""
+    # a shell may have opened it to be written only
+    with suppress(OSError):
+        if size:
+            return digest(file, size)
+    return f"{os.fstat(file).st_dev}:{os.fstat(file).st_ino}"
 
 
 def _ends_a_line(file: int, size: int) -> bool:

@@ -6,11 +6,12 @@ import select
 import stat
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from motes.io.files import foreign, reject
 from motes.live.counts import LOG
-from motes.live.message import LONGEST, Form
+from motes.live.message import LONGEST, Form, Unreadable, parsed
 from motes.live.source import Received, TextSource
 
 PIECE = 1 << 16
@@ -19,6 +20,12 @@ MARK = 1024
 """Bytes before a position by which a file is known again."""
 AGAIN = (0.5, 1.0, 2.0, 5.0)
 """Seconds until a line that was broken is opened again, and so on."""
+
+
+def digest(file: int, position: int) -> str:
+    """Return a digest of the last bytes before a position of an open file, without the end of the line."""
+    begin = max(0, position - 1 - MARK)
+    return hashlib.sha256(os.pread(file, max(0, position - 1 - begin), begin)).hexdigest()[:16]
 
 
 class Lines(TextSource):
@@ -48,11 +55,12 @@ class Lines(TextSource):
 
     def _last(self) -> Sequence[Received] | None:
         """Return the last line where it has no end and is whole all the same: an object of JSON; half a number looks like a whole one."""
-        rest = self._rest.strip()
-        if not rest:
+        if not self._rest.strip():
             return None
-        if rest.startswith(b"{") and rest.endswith(b"}"):
-            return self._cut(b"\n")
+        # half a line may end as a whole one does
+        with suppress(Unreadable):
+            if parsed(self._rest) is not None:
+                return self._cut(b"\n")
         LOG.warning("%s: the last line has no end and is left out%s.", self.name, " until it has one" if self.repeats else "")
         return None
 
@@ -77,18 +85,7 @@ class Lines(TextSource):
         """Return a digest of the last bytes before a position of a plain file, without the end of the line, which may still be missing."""
         if not self.repeats:
             return None
-        begin = max(0, position - 1 - MARK)
-        return hashlib.sha256(os.pread(self._file, position - 1 - begin, begin)).hexdigest()[:16]
-
-    def check(self, position: int, mark: str | None) -> None:
-        """See to it that a plain file is the one that was read up to a position.
-
-        Raises:
-            FileError: it is another, or was cut.
-        """
-        if self.repeats and mark is not None and self.mark(position) != mark:
-            reject(self.name, f"the file that was read up to byte {position}", "another one, or one that was cut",
-                   "Give that file, or set resume = false (--live.no-resume) to begin anew with this one.")  # fmt: skip
+        return digest(self._file, position)
 
     def close(self) -> None:
         """Close the file."""
@@ -129,12 +126,17 @@ class Serial(TextSource):
         if speed is None:
             reject(self._path, "a usual speed, such as ?baud=9600 or 115200", f"{self._baud}")
         file = os.open(self._path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
-        if os.isatty(file):
-            # what has come already stays
-            tty.setraw(file, termios.TCSANOW)
-            settings = termios.tcgetattr(file)
-            settings[4] = settings[5] = speed
-            termios.tcsetattr(file, termios.TCSANOW, settings)
+        try:
+            if os.isatty(file):
+                # what has come already stays
+                tty.setraw(file, termios.TCSANOW)
+                settings = termios.tcgetattr(file)
+                settings[4] = settings[5] = speed
+                termios.tcsetattr(file, termios.TCSANOW, settings)
+        except termios.error as reason:
+            # it broke in between
+            os.close(file)
+            raise OSError(*reason.args) from None
         return Lines(self.name, self.form, file)
 
     def receive(self, timeout: float) -> Sequence[Received] | None:

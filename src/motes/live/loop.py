@@ -3,7 +3,7 @@
 import gc
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from motes.core.checks import CollapseError, MotesError, refuse
+from motes.core.checks import CollapseError, MotesError
 from motes.core.packed import Packed
 from motes.filters.info import Info
 from motes.filters.interface import Filter
@@ -20,14 +20,13 @@ from motes.live import pace
 from motes.live.checkpoint import Checkpoint
 from motes.live.counts import LOG
 from motes.live.inbox import POLL, Inbox
-from motes.live.message import Form, Message, Unreadable
+from motes.live.message import Form, Unreadable
 from motes.live.order import Order, Placed
 from motes.live.settings import Live
-from motes.live.sink import Guarded, Sink
+from motes.live.silence import Silence
+from motes.live.sink import Guarded, Sink, write_to_all
 from motes.live.source import Source
 
-SILENCE = 10.0
-"""Seconds without a message until that is said, and then after twice as long, and so on."""
 SETTLED = 100
 """Steps after which what is alive then is taken to stay: Python need not look through it again for what can be freed."""
 
@@ -125,7 +124,7 @@ class Run:
             # before anything is cut
             self.source.check(beside["position"], beside.get("mark"))
         for guarded in self.sinks:
-            guarded.sink.go_on(beside["sinks"].get(guarded.sink.name), cut=self.source.repeats)
+            guarded.sink.go_on(beside["sinks"].get(guarded.sink.place), cut=self.source.repeats)
         if self.stream is None:
             return False
         self._filter = self.stream.filter
@@ -152,8 +151,8 @@ class Run:
         if self.checkpoint is not None and self.stream is None:
             self.checkpoint.begin({"sinks": self._kept_by_sinks()})
         inbox = Inbox(self.source)
-        saved = heard = time.monotonic()
-        silence, unread = SILENCE, 0
+        silence = Silence(self.source.name, self.settings.patience)
+        saved, unsaved = time.monotonic(), False
         try:
             while not ends():
                 came = inbox.take(POLL)
@@ -164,23 +163,24 @@ class Run:
                     break
                 said = False
                 for place, received in enumerate(came):
-                    message = self.source.understood(received)
-                    if message is not None:
-                        self._last, said = message.content, True
-                        for placed in self._placed(message):
-                            self._take(placed)
+                    said = self._heard(received) or said
                     if time.monotonic() - saved > self.settings.checkpoint:
                         self.save()
-                        saved = time.monotonic()
+                        saved, unsaved = time.monotonic(), False
+                    else:
+                        unsaved = True
                     if ends():
                         inbox.put_back(came[place + 1 :])
                         break
+                if unsaved and now - saved > self.settings.checkpoint:
+                    # nothing comes that would have it saved
+                    self.save()
+                    saved, unsaved = now, False
                 if said:
                     # a batch may have taken long
-                    heard, silence, unread = time.monotonic(), SILENCE, 0
+                    silence.broken()
                 else:
-                    unread += len(came)
-                    silence = self._silent(now - heard, silence, unread)
+                    silence.goes_on(now, len(came))
         finally:
             inbox.close()
             if not self.save() and self.checkpoint is not None and self.stream is None:
@@ -193,19 +193,28 @@ class Run:
         for sink in self.sinks:
             sink.close()
 
-    def _silent(self, seconds: float, told_after: float, unread: int) -> float:
-        """Say that nothing comes that can be read, or end where patience does; return after how many seconds it is to be said next."""
-        if self.settings.patience and seconds > self.settings.patience:
-            refuse(f"source {self.source.name}", f"a message within {self.settings.patience:g} s",
-                   f"{unread} that could not be read" if unread else "none",
-                   "Is it sent there? Set patience = 0 to wait for ever.")  # fmt: skip
-        if seconds <= told_after:
-            return told_after
-        if unread:
-            LOG.warning("%d messages came from %s for %.0f s, and none could be read.", unread, self.source.name, seconds)
+    def _heard(self, received: Any) -> bool:
+        """Take what came, and tell whether it was a message."""
+        position, held = self.source.position, self._work.form.held
+        message = self.source.understood(received)
+        if message is None:
+            return False
+        if message.y is None:
+            self.counts.add("inputs")
+        try:
+            for placed in () if message.y is None else self.order.take(message):
+                self._take(placed)
+        except MotesError:
+            # the run ends at it: who goes on begins with it
+            if not self.order.has(message):
+                self.source.position, self._work.form.held = position, held
+            raise
+        if message.y is None or self.order.has(message):
+            self._last = message.content
         else:
-            LOG.warning("nothing has come from %s for %.0f s.", self.source.name, seconds)
-        return 2 * told_after
+            # inputs of what was dropped, refused, or is of a step before do not hold for those that come
+            self._work.form.held = held
+        return True
 
     @property
     def kept_at(self) -> int | None:
@@ -222,14 +231,8 @@ class Run:
                   "mark": None if position is None else self.source.mark(position), "sinks": sinks}  # fmt: skip
         return self.checkpoint.save(self.stream, beside, len(self.order.window) - 1)
 
-    def _kept_by_sinks(self) -> dict[str, int | None]:
-        return {guarded.sink.name: guarded.kept() for guarded in self.sinks}
-
-    def _placed(self, message: Message) -> Iterable[Placed]:
-        if message.y is None:
-            self.counts.add("inputs")
-            return []
-        return self.order.take(message)
+    def _kept_by_sinks(self) -> dict[str, Any]:
+        return {guarded.sink.place: guarded.kept() for guarded in self.sinks}
 
     def _take(self, placed: Placed) -> None:
         """Take a message at its place, write what came of it, and tell who watches."""
@@ -251,8 +254,7 @@ class Run:
         seconds = time.perf_counter() - began
         self.counts.add("steps")
         record = self._record(stream, stream.info, numbers, seconds, placed)
-        for sink in self.sinks:
-            sink.write(record)
+        write_to_all(self.sinks, record)
         told = Taken(stream.info, placed.message.y, self.order.window[-1].message.time, seconds, placed.back > 0)
         for watcher in self.watchers:
             watcher(stream, told)

@@ -132,7 +132,7 @@ class Form:
         if len(text) > LONGEST:
             raise Unreadable(f"a message of {len(text)} bytes, expected at most {LONGEST}")
         text = text.removeprefix(MARK)
-        content = _parsed(text)
+        content = parsed(text)
         return self.message(self._of_numbers(text) if content is None else content)._replace(arrived=arrived)
 
     def message(self, content: dict[str, Any]) -> Message:
@@ -246,7 +246,7 @@ class Form:
         return dict(zip(self.fields, numbers, strict=True))
 
 
-def _parsed(text: bytes) -> dict[str, Any] | None:
+def parsed(text: bytes) -> dict[str, Any] | None:
     """Return an object of JSON; None of what is none."""
     if not text.lstrip().startswith(b"{"):
         return None
@@ -295,6 +295,10 @@ def _values(name: str, found: Any, missing: bool = False) -> np.ndarray:
         array = np.asarray(checks.as_numbers(name, found), np.float64)
     except (checks.MotesError, ValueError, OverflowError):
         raise Unreadable(f"{name!r} is no number or list of numbers: {found!a:.60}") from None
+    if not missing:
+        with np.errstate(over="ignore"):
+            # an input that the filter cannot hold would hold all the same, for all that follow
+            array = array.astype(jnp.result_type(float))
     if np.isinf(array).any() or (not missing and np.isnan(array).any()):
         raise Unreadable(f"{name!r} is not finite: {found!a:.60}")
     return array

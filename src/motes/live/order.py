@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from motes.core.checks import refuse
+from motes.core.checks import MotesError, refuse
 from motes.io.instants import SAME
 from motes.live.counts import Counts
 from motes.live.message import Message
@@ -52,7 +52,8 @@ class Order:
         self._seen: deque[tuple[float, int]] = deque(maxlen=REMEMBERED)
         self._known: set[tuple[float, int]] = set()
         self._waiting: list[tuple[float, int, Message]] = []
-        self._came = self._stubborn = 0
+        self._came = self._stubborn = self._twice = 0
+        self._latest: Message | None = None
         self._gaps: deque[float] = deque(maxlen=USUAL)
         self._arrived: float | None = None
         self._newest: float | None = None
@@ -63,7 +64,17 @@ class Order:
         Raises:
             MotesError: the clock of the source was set, and the run is to end then.
         """
-        if self.settings.duplicate == "drop" and self._is_known(message):
+        known = self.settings.duplicate == "drop" and self._is_known(message)
+        try:
+            yield from self._taken_in(message, known)
+        except MotesError:
+            # who goes on from a file meets it again
+            self._not_come(message, known)
+            raise
+
+    def _taken_in(self, message: Message, known: bool) -> Iterator[Placed]:
+        if known:
+            self._twice += 1
             if self._is_stubborn():
                 yield from self.rest()
                 yield self._begun_anew(message)
@@ -79,11 +90,26 @@ class Order:
                 yield from self.rest()
                 self._newest = None
             self._came += 1
+            # a message in between ends a row of duplicates, whether it has a place or not is told later
+            self._twice = 0
             if self._newest is not None and message.time < self._newest:
                 self.counts.add("sorted")
-            self._newest = message.time if self._newest is None else max(self._newest, message.time)
+            if self._newest is None or message.time >= self._newest:
+                self._newest, self._latest = message.time, message
             heapq.heappush(self._waiting, (message.time, self._came, message))
             yield from self._due(self._newest - self.settings.wait)
+
+    def _not_come(self, message: Message, known: bool) -> None:
+        """Forget a message at which the run ends."""
+        self._waiting = [one for one in self._waiting if one[2] is not message]
+        heapq.heapify(self._waiting)
+        self._latest = None
+        if self._seen and not known:
+            self._known.discard(self._seen.pop())
+
+    def has(self, message: Message) -> bool:
+        """Tell whether a message is the newest of those that were taken, or of those that wait."""
+        return message is self._latest or (bool(self.window) and self.window[-1].message is message)
 
     def rest(self) -> Iterator[Placed]:
         """Give what still waits, in order; where a source has ended."""
@@ -115,7 +141,7 @@ class Order:
         """Return what a checkpoint keeps, as JSON can hold it."""
         return {"window": [(one.message.content, one.message.number, one.message.time) for one in self.window], "gaps": list(self._gaps),
                 "waiting": [message.content for _, _, message in sorted(self._waiting)], "newest": self._newest, "seen": list(self._seen),
-                "stubborn": self._stubborn}  # fmt: skip
+                "stubborn": self._stubborn, "twice": self._twice}  # fmt: skip
 
     def go_on(self, kept: dict[str, Any], message: Callable[[Any], Message]) -> list[Placed]:
         """Take back what a checkpoint kept, but for the last steps, which it returns: the first was taken before the checkpoint.
@@ -124,7 +150,7 @@ class Order:
             kept: by `kept`.
             message: makes a message of its content.
         """
-        self._newest, self._stubborn = kept["newest"], kept["stubborn"]
+        self._newest, self._stubborn, self._twice = kept["newest"], kept["stubborn"], kept["twice"]
         self._gaps.extend(kept["gaps"])
         for content in kept["waiting"]:
             self._came += 1
@@ -137,7 +163,9 @@ class Order:
 
     def _due(self, until: float) -> Iterator[Placed]:
         while self._waiting and self._waiting[0][0] <= until:
-            placed = self._placed(heapq.heappop(self._waiting)[2])
+            # it waits still where the run ends at it
+            placed = self._placed(self._waiting[0][2])
+            heapq.heappop(self._waiting)
             if placed is not None:
                 yield placed
 
@@ -173,7 +201,7 @@ class Order:
         # a number that is older with a time that is newer is of a source that began anew
         if back and (back == len(self.window) or (passed or 0.0) > SAME):
             return self._without_place(message, "dropped", f"{_called(message)} came too late and is dropped.")
-        self._stubborn = 0
+        self._stubborn = self._twice = 0
         before = self.window[-1 - back].message.time
         if time is not None and before is not None and time < before - SAME:
             self.counts.add("backward", f"the time goes back by {before - time:.3g} s at {_called(message)}, and counts as a step of 0 s.")
@@ -197,15 +225,15 @@ class Order:
         return 0 if message.number is None or last is None else message.number - last - 1
 
     def _without_place(self, message: Message, kind: str, why: str) -> Placed | None:
+        self._stubborn += 1
         if self._is_stubborn():
             return self._begun_anew(message)
         self.counts.add(kind, why)
         return None
 
     def _is_stubborn(self) -> bool:
-        """Count one more message in a row that has no place, and tell whether they are too many."""
-        self._stubborn += 1
-        return self._stubborn >= STUBBORN
+        """Tell whether too many messages in a row had no place."""
+        return self._stubborn + self._twice >= STUBBORN
 
     def _later(self, message: Message) -> int:
         """Return how many of the last steps come after a message."""
@@ -232,7 +260,7 @@ class Order:
         if self.settings.clock_jump == "stop":
             refuse("live clock_jump", f"messages in order, and times within {self.settings.jump:g} s", said,
                    'Set clock_jump = "bridge" or "begin anew" to go on.')  # fmt: skip
-        self._stubborn = 0
+        self._stubborn = self._twice = 0
         self._seen.clear()
         self._known.clear()
         if self.settings.clock_jump == "begin anew" or not self.window:

@@ -4,6 +4,7 @@ A Parquet file is readable only once its end is written. So each row group is a 
 reads Parquet reads the folder as one table. The last file is written anew until it is full.
 """
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from motes.core.checks import need
 from motes.io.archive import durable_folder, whole_file
 from motes.io.files import foreign, lock, reject
 from motes.io.unfinished import remove_leftovers
+from motes.live.counts import LOG
 from motes.live.sink import IN_USE, Sink
 
 ROWS = 10_000
@@ -72,6 +74,11 @@ class Parquet(Sink):
         return arrow.Table.from_pylist([{name: _fitting(name, row.get(name)) for name in names} for row in self._rows], schema)
 
     @property
+    def place(self) -> str:
+        """The whole path of the folder."""
+        return os.path.abspath(self._folder)
+
+    @property
     def unwritten(self) -> int:
         """Number of rows that are in no file yet."""
         return len(self._rows) - self._written
@@ -99,6 +106,9 @@ class Parquet(Sink):
             there = table.to_pylist()
             self._rows = there if rows is None else there[: rows % ROWS]
             self._written = len(there) if rows is None else 0
+        missing = 0 if rows is None else rows % ROWS - len(self._rows)
+        if missing:
+            LOG.warning("sink %s: %d records from before the checkpoint are not in it.", self.name, missing)
 
     def close(self) -> None:
         """Write what is left over, and let others write."""

@@ -8,7 +8,7 @@ from typing import TextIO
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from motes.core.checks import refuse
-from motes.live.json_lines import JSONLines, to_file
+from motes.live.json_lines import to_file, to_open
 from motes.live.lines import Lines, Serial, of_file
 from motes.live.message import Form
 from motes.live.parquet import Parquet
@@ -53,7 +53,7 @@ def sink_at(address: str) -> Sink:
         MotesError: the address is none, is in use, or cannot be written.
     """
     if address == "-":
-        return JSONLines("standard output", _standard("sink", sys.stdout))
+        return to_open("standard output", _standard("sink", sys.stdout))
     kind = _taken_apart("sink", address, SINKS)[0]
     if kind in ("tcp", "ipc"):
         return Publisher(address, address)

@@ -1,5 +1,6 @@
 """Measurements that were recorded, one by one: at their own speed, faster, or as fast as they are taken."""
 
+import hashlib
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -20,6 +21,7 @@ class Replay(Source):
     """The rows of a recording, whatever file they were read from."""
 
     waits = is_over = repeats = True
+    was_read = "the recording that was taken up to row"
 
     def __init__(self, name: str, ys: Any, inputs: Any = None, times: Any = None, speed: float = 1.0):
         """Take measurements and inputs, time axis first.
@@ -65,6 +67,11 @@ class Replay(Source):
                 time.sleep(min(timeout, max(0.0, due[begin] - now)))
                 return []
         return range(begin, self._at)
+
+    def mark(self, position: int) -> str:
+        """Return a digest of the last rows before a position."""
+        last = jax.tree.map(lambda leaf: leaf[max(0, position - TOGETHER) : position], (self._rows, self._times))
+        return hashlib.sha256(b"".join(leaf.tobytes() for leaf in jax.tree.leaves(last))).hexdigest()[:16]
 
     def go_on(self, position: int) -> None:
         """Begin at a row."""

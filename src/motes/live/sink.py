@@ -4,6 +4,7 @@ import json
 import math
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 from motes.live.counts import LOG
@@ -22,6 +23,11 @@ class Sink(ABC):
     """
 
     name: str
+
+    @property
+    def place(self) -> str:
+        """What a checkpoint knows it by, however its name is spelled and wherever the command is given."""
+        return self.name
 
     @property
     def unwritten(self) -> int:
@@ -43,11 +49,11 @@ class Sink(ABC):
             OSError: it cannot be.
         """
 
-    def kept(self) -> int | None:
-        """Return how far was written, safe or not; None where nothing is kept."""
+    def kept(self) -> Any:
+        """Return how far was written, safe or not, as JSON can hold it; None where nothing is kept."""
         return None
 
-    def go_on(self, kept: int | None, cut: bool) -> None:  # noqa: B027 (most keep nothing)
+    def go_on(self, kept: Any, cut: bool) -> None:  # noqa: B027 (most keep nothing)
         """Begin where a checkpoint was; with `cut` leave out what was written after it, since it comes again."""
 
     def close(self) -> None:  # noqa: B027 (some have nothing to close)
@@ -86,7 +92,7 @@ class Guarded:
             LOG.warning("sink %s: works again; %d records are missing.", self.sink.name, self._missing)
             self._missing, self._fails = 0, False
 
-    def kept(self) -> int | None:
+    def kept(self) -> Any:
         """Return how far was written, after seeing to it that all of it is safe: where that fails, too, nothing is to come twice."""
         kept = self.sink.kept()
         try:
@@ -114,6 +120,22 @@ class Guarded:
             LOG.warning("sink %s: %s; the filter goes on, and it is tried again every %g s.", self.sink.name,
                         getattr(reason, "strerror", None) or str(reason).rstrip("."), AGAIN)  # fmt: skip
         self._until, self._fails = time.monotonic() + AGAIN, True
+
+
+def write_to_all(sinks: Sequence[Guarded], record: dict[str, Any]) -> None:
+    """Write a record to all sinks, also where one that nobody reads any more ends the run.
+
+    Raises:
+        BrokenPipeError: one did.
+    """
+    left: BrokenPipeError | None = None
+    for sink in sinks:
+        try:
+            sink.write(record)
+        except BrokenPipeError as reason:
+            left = reason
+    if left is not None:
+        raise left
 
 
 def line_of(record: dict[str, Any]) -> bytes:

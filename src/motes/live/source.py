@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+from motes.io.files import reject
 from motes.live.counts import Counts
 from motes.live.message import Early, Form, Message, Unreadable
 
@@ -19,6 +20,8 @@ class Source(ABC):
 
     waits: ClassVar[bool] = False
     """Whether what is not read at once waits where it comes from; otherwise it is read by a thread of its own, so that nothing is lost."""
+    was_read: ClassVar[str] = "the file that was read up to byte"
+    """What it is known as, before a position."""
     is_over: ClassVar[bool] = False
     """Whether nothing can be added to what has ended."""
     repeats: bool = False
@@ -48,12 +51,15 @@ class Source(ABC):
         """Return what the source is known by at a position, as JSON can hold it; None where there is nothing."""
         return None
 
-    def check(self, position: int, mark: Any) -> None:  # noqa: B027 (most cannot)
+    def check(self, position: int, mark: Any) -> None:
         """See to it that the source is the one that had this mark at a position.
 
         Raises:
-            FileError: it is another.
+            FileError: it is another, or was cut.
         """
+        if mark is not None and self.mark(position) != mark:
+            reject(self.name, f"{self.was_read} {position}", "another one, or one that was cut",
+                   "Give that one, or set resume = false (--live.no-resume) to begin anew with this one.")  # fmt: skip
 
     def remember(self, last: Any) -> None:  # noqa: B027 (most need not)
         """Go on as after a message with this content, which a checkpoint kept."""

@@ -45,7 +45,7 @@ class Answers:
     def described(self) -> dict[str, Any]:
         """Return what a page is told once."""
         recorder = self.recorder
-        return recorder.scene.described() | {"run": self.title, "filter": recorder.label, "budget": recorder.budget,
+        return recorder.scene.described() | {"run": self.title, "budget": recorder.budget,
                                              "columns": list(recorder.columns)}  # fmt: skip
 
     def picture(self) -> bytes | None:
@@ -89,7 +89,7 @@ class Answers:
             header: dict[str, Any] = {
                 "rows": {"generation": recorder.generation, "from": begin, "count": recorder.count - begin},
                 "reel": recorder.reel.reach, "state": self.state, "report": self.report is not None, "late": recorder.late,
-                "taken": recorder.taken, "log_likelihood": rounded(recorder.log_likelihood),
+                "filter": recorder.label, "taken": recorder.taken, "log_likelihood": rounded(recorder.log_likelihood),
                 "findings": [{"name": one.name, "text": f"{one.text} {one.advice}", "serious": bool(one.serious)}
                              for one in recorder.findings],
                 "told": list(recorder.told),

@@ -164,6 +164,9 @@ class Recorder:
             self.unknown += slot.number - self.taken - len(came)
             self.taken, self.log_likelihood = slot.number, evidence
             self.late += 0 if self.budget is None else sum(one.step.seconds > self.budget for one in came)
+        if self._shown is None or slot.filter is not self._shown.filter:
+            # with a budget it has another number of particles than it was named with
+            self.label = repr(slot.filter)
         self._shown = slot
         parts: list[list[Step]] = [[]]
         for one in came:

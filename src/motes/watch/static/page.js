@@ -115,6 +115,7 @@
     fill(byId("numbers"), rows.flatMap(function (row) { return [element("dt", row[0]), element("dd", row[1])]; }));
     alarms();
     fill(byId("told"), answer.told.map(function (one) { return element("li", "step " + one[0] + ": " + one[1]); }));
+    byId("title").title = answer.filter;
     byId("status").textContent = answer.state + (paused ? (playing ? ", shown again" : ", paused here") : "");
     const rate = stamps.length > 1 ? 1000 * (stamps.length - 1) / (last(stamps) - stamps[0]) : 0;
     byId("rate").textContent = rate.toFixed(0) + " updates a second, " + (shown ? shown.count : 0) + " points";
@@ -254,7 +255,6 @@
     view.follow = byId("follow").checked = !scene.extent;
     document.title = scene.run;
     byId("title").textContent = scene.title ? scene.title + ": " + scene.run : scene.run;
-    byId("title").title = scene.filter;
     ["x", "y"].forEach(function (id, place) {
       const list = scene.names.map(function (name, index) { return [index, name]; });
       if (id === "x") { list.push([-1, "time"]); }
