@@ -175,6 +175,8 @@ REFUSALS = [
     (["no_such_module:make", *GOOD], ["ModuleNotFoundError"]),
     (["model.py:make", "--data", "y.csv"], ["filter: expected a filter by name"]),
     (["model.py:make", *GOOD[:-1], "kalmann"], ["filter kind: expected the name of a Filter, such as kalman", "'kalmann'"]),
+    (["model.py:make", *GOOD[:-1], "ekf"], ["such as ensemblekalman, extendedkalman, got 'ekf'"]),
+    (["model.py:make", *GOOD[:-1], "UKF", "--filter.n", "3"], ["filter: expected parameters of UnscentedKalmanFilter"]),
     (["model.py:make", *GOOD, "--filter.n", "3"], ["filter: expected parameters of KalmanFilter", "'n'"]),
     (["model.py:make", *GOOD[:-1], "particle"], ["filter n: expected a value", "--filter.n"]),
     (["model.py:make", "--filter", "kalman"], ["data: expected a file of measurements", "--data FILE"]),

@@ -77,6 +77,17 @@ def test_lists_of_whole_numbers_and_empty_ones_are_scans():
     np.testing.assert_array_equal(mo.run(0, FILTER, MODEL, [[], []]).mean, mo.run(0, FILTER, MODEL, [np.zeros((0, 2))] * 2).mean)
 
 
+def test_a_first_step_without_a_scan():
+    stream = mo.stream(0, FILTER, MODEL)
+    stream.update(None)
+    stream.predict()
+    stream.update(SCANS[1])
+    np.testing.assert_allclose(stream.mean, mo.run(0, FILTER, MODEL, [None, SCANS[1]]).mean[-1], rtol=1e-4)
+    silent = mo.StateSpaceModel(MODEL.initial, MODEL.dynamics, mo.Custom(log_prob=lambda y, x, u, t: x[0]), MODEL.names)
+    with pytest.raises(mo.MotesError, match="what Custom measures, NaN where it measured nothing, got None. Give NaN in its form"):
+        mo.stream(0, FILTER, silent).update(None)
+
+
 def test_tracks_in_clutter_are_smoothed_by_the_dynamics_alone():
     history = mo.run(0, mo.ExtendedKalmanFilter(), MODEL, SCANS)
     plain = mo.replace(MODEL, sensor=MODEL.sensor.sensor)

@@ -134,7 +134,7 @@ def test_own_filters_and_a_mixed_model(clock):
 REFUSED = {
     "both": (dict(budget=1e-3, accuracy=1.0), "plan: expected either a budget in seconds per step or an accuracy, got both."),
     "neither": ({}, "plan: expected either a budget in seconds per step or an accuracy, got neither."),
-    "negative": (dict(budget=-1.0), "plan budget: expected a positive number, got -1.0."),
+    "negative": (dict(budget=-1.0), "plan budget: expected a positive number of seconds, got -1.0."),
     "no states": (dict(accuracy=1.0), "plan states: expected names of states of one unit, whose RMSE the accuracy is, got none."),
     "unknown state": (dict(budget=1e-3, states=("far",)), "Experiment blocks 'states that count': expected different states out of seen"),
     "too dear": (dict(budget=1e-6), "plan budget: expected at least 2e-05 s a step, what the cheapest candidate takes (extended Kalman"),

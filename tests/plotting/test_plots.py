@@ -37,6 +37,13 @@ def test_history(history):
     assert len(mo.plot(history).axes[0].lines) == 1
 
 
+def test_a_wide_prior_leaves_something_to_be_seen():
+    model = mo.models.local_level(1.0, 0.1)
+    xs, ys = mo.simulate(0, mo.StateSpaceModel(mo.Gaussian([5.0], [[1.0]]), model.dynamics, model.sensor, model.names), 30)
+    low, high = mo.plot(mo.run(0, mo.SquareRootKalmanFilter(), model, ys), truth=xs).axes[0].get_ylim()
+    assert low < xs.min() and high > xs.max() and high - low < 3 * np.ptp(ys)
+
+
 def test_a_forecast_without_times_ahead_numbers_all_steps():
     pandas = pytest.importorskip("pandas")
     step = mo.LinearGaussian([[1.0]], [[1.0]])

@@ -26,6 +26,11 @@ def result():
     return mo.study(experiment())
 
 
+def test_starved_runs_fill_no_screen(recwarn):
+    found = mo.study(experiment(filters={"starved": mo.ParticleFilter(n=8)}))
+    assert found.ess.min() < 1.6 and not [one for one in recwarn if issubclass(one.category, mo.MotesWarning)]
+
+
 def test_runs_are_paired_and_can_be_repeated_one_by_one(result):
     plan = experiment()
     for number in (0, 7):

@@ -72,9 +72,12 @@ def build(base: type, choice: Any, place: str, n: int | None = None) -> Any:
     known = kinds(base)
     short = {spelled(name): one for name, one in known.items()}
     ending = [one for name, one in short.items() if name.endswith(spelled(table[KIND])) and len(spelled(table[KIND])) >= SHORTEST]
+    initials = [name for name in known if "".join(filter(str.isupper, name)).lower() == table[KIND].lower()]
     kind = known.get(table[KIND]) or short.get(spelled(table[KIND])) or (ending[0] if len(ending) == 1 else None)
+    if kind is None and len(initials) == 1:
+        kind = known[initials[0]]
     if kind is None:
-        near = difflib.get_close_matches(spelled(table[KIND]), short, 5, 0.4) or sorted(short)[:12]
+        near = [spelled(name) for name in initials] or difflib.get_close_matches(spelled(table[KIND]), short, 5, 0.4) or sorted(short)[:12]
         refuse(f"{place} {KIND}", f"the name of a {base.__name__}, such as {', '.join(near)}", shown(table[KIND]))
     fields = {field.name: field for field in dataclasses.fields(kind) if field.init is not False}
     given = {name: value for name, value in table.items() if name != KIND}

@@ -1,5 +1,9 @@
 """What a run says unasked: findings that are warned of once, in one line; `diagnose` gives them with all others."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
 import numpy as np
 
 from motes.core import checks
@@ -17,8 +21,23 @@ GONE = 1e-2
 """Share that may leave it at one step before estimates there are not to be trusted."""
 
 
+_quiet: ContextVar[bool] = ContextVar("_quiet", default=False)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Warn of no run inside of a `with` block: of very many a table says more."""
+    before = _quiet.set(True)
+    try:
+        yield
+    finally:
+        _quiet.reset(before)
+
+
 def warn(history: History, before: History | None) -> None:
     """Warn of a run in one line; what the part of the run before it had told already is not told again."""
+    if _quiet.get():
+        return
     known = set() if before is None else {finding.name for finding in notices(before)}
     found = [finding for finding in notices(history) if finding.name not in known]
     if found:

@@ -77,7 +77,7 @@ class Conditional(ABC):
             MotesError: their form is not known.
         """
         checks.refuse("ys", f"what {type(self).__name__} measures, NaN where it measured nothing", "None",
-                      "Leave the sensor out of all steps, or give NaN.")
+                      "Give NaN in its form, or of one of several sensors leave it out of all steps.")
 
     @abstractmethod
     def given(self, x: jax.Array, u: Any, t: Any) -> Law:

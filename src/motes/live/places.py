@@ -52,6 +52,8 @@ def sink_at(address: str) -> Sink:
     Raises:
         MotesError: the address is none, is in use, or cannot be written.
     """
+    if not address:
+        refuse("sink", SINKS, "''", 'Give --live.sinks "-" for standard output.')
     if address == "-":
         return to_open("standard output", _standard("sink", sys.stdout))
     kind = _taken_apart("sink", address, SINKS)[0]

@@ -159,7 +159,8 @@ def _check(budget: float | None, accuracy: float | None, states: tuple[str, ...]
     if (budget is None) == (accuracy is None):
         checks.refuse("plan", "either a budget in seconds per step or an accuracy", "both" if accuracy is not None else "neither")
     if isinstance(given, bool) or not isinstance(given, (int, float)) or not 0 < given < math.inf:
-        checks.refuse("plan budget" if accuracy is None else "plan accuracy", "a positive number", repr(given))
+        what, unit = ("budget", " of seconds") if accuracy is None else ("accuracy", "")
+        checks.refuse(f"plan {what}", f"a positive number{unit}", repr(given))
     if accuracy is not None and not states:
         checks.refuse("plan states", "names of states of one unit, whose RMSE the accuracy is", "none")
 

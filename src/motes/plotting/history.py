@@ -14,6 +14,8 @@ from motes.smoothers.interface import Smoothed
 
 LINES = 20
 """So many of many runs are drawn as lines."""
+WIDE = 20
+"""So many times as wide as most a band may be before it leaves the picture: after a wide prior nothing else could be seen in it."""
 
 
 class Course(NamedTuple):
@@ -96,6 +98,7 @@ def history_figure(result: History | Smoothed, truth: Any, states: tuple[int, ..
         axes.fill_between(drawn.times, mean - 2 * deviation, mean + 2 * deviation, color=ESTIMATE, alpha=0.22, linewidth=0, label="2 sigma")
         axes.plot(drawn.times, mean, color=ESTIMATE, linewidth=1.4, label="mean")
         _truth(axes, drawn, state)
+        _frame(axes, drawn, state)
     legend_below(figure, panels[0], 3)
     if sampled:
         axes = panels[-1]
@@ -116,6 +119,18 @@ def some_of(runs: np.ndarray) -> list[tuple[str | None, np.ndarray]]:
 def _truth(axes: Any, drawn: Course, state: int) -> None:
     if drawn.truth is not None:
         axes.plot(drawn.times, drawn.truth[:, state], **DASHED, label="truth")
+
+
+def _frame(axes: Any, drawn: Course, state: int) -> None:
+    """Frame what is known: bands that are very much wider than most go beyond."""
+    mean, deviation = drawn.mean[:, state], drawn.deviation[:, state]
+    usual = WIDE * np.nanmedian(deviation)
+    if np.nanmax(deviation) > usual > 0:
+        known = deviation <= usual
+        ends = [mean[known] - 2 * deviation[known], mean[known] + 2 * deviation[known]]
+        ends += [] if drawn.truth is None else [drawn.truth[:, state]]
+        low, high = np.nanmin(np.concatenate(ends)), np.nanmax(np.concatenate(ends))
+        axes.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
 
 
 def _runs_figure(drawn: Course) -> Any:

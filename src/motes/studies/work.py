@@ -24,6 +24,7 @@ from motes.core import checks, linalg
 from motes.core.record import replace
 from motes.core.settings import Settings, enforced
 from motes.diagnostics.consistency import normalized_errors
+from motes.filters import notices
 from motes.filters.info import Info
 from motes.filters.run import run
 from motes.laws.circular import wrap
@@ -118,8 +119,9 @@ def one_run(experiment: Experiment, part: str, number: Any) -> dict[str, Any]:
         return {"truth": xs}
     filter, model = experiment.assumed(part)
     # a run whose weights vanish must not stop the others: it goes on by prediction, as "raise" does inside of jit
-    quiet = replace(filter, on_collapse="predict") if filter.on_collapse == "raise" else filter
-    history = run(experiment.keys(number)[1], quiet, model, ys, experiment.inputs)
+    going_on = replace(filter, on_collapse="predict") if filter.on_collapse == "raise" else filter
+    with notices.quiet():
+        history = run(experiment.keys(number)[1], going_on, model, ys, experiment.inputs)
     states = experiment.model.names
     mean, cov = history.mean, history.cov
     if model.names != states:
