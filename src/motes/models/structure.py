@@ -101,7 +101,7 @@ def structure(model: StateSpaceModel, inputs: Inputs = None) -> Structure:
         nothing = jnp.zeros((model.measurement_size(inputs) or 0,), model.dtype)
         model, drive = model.independent()
         inputs = drive.of(inputs, inputs, nothing)
-    traced = trace(canonical(looked_at(model, inputs, _drawn(model, inputs)), inputs), inputs)
+    traced = trace(canonical(looked_at(model, inputs, _as_drawn(model, inputs)), inputs), inputs)
     best = largest(traced, model.size)
     return Structure(best, model.names, _covariance(traced, best, model.size), _reasons(traced, best, model.names))
 
@@ -191,7 +191,7 @@ def looked_at(model: Any, inputs: Inputs, y: Any) -> Any:
     return model if used.all() else replace(model, sensor=replace(sensor, looks=tuple(np.flatnonzero(used).tolist())))
 
 
-def _drawn(model: StateSpaceModel, inputs: Inputs) -> Any:
+def _as_drawn(model: StateSpaceModel, inputs: Inputs) -> Any:
     """Return the shapes of a measurement, as a sensor of the user's own draws it; None where it does not."""
     sensor = model.sensor
     if not isinstance(sensor, Custom) or sensor.sampler is None:

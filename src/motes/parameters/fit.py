@@ -74,10 +74,10 @@ def fit(  # noqa: PLR0913 (what one may say of a fit, each by its name)
 
             found = _estimates(given, random.step_keys(random.as_key(key), KEYS), by, rounds, told)
     used = replace(given.filter, on_collapse="raise") if filter is None else filter
-    return Fit(model=_fitted(model_of, given.parameters.given(jnp.asarray(found["values"]))), filter=repr(used), **found)
+    return Fit(model=_model_at(model_of, given.parameters.given(jnp.asarray(found["values"]))), filter=repr(used), **found)
 
 
-def _fitted(model_of: Callable[[Any], Model], parameters: Any) -> Model:
+def _model_at(model_of: Callable[[Any], Model], parameters: Any) -> Model:
     """Return the model of the estimates in the session's own precision; while they were searched no value was known, and none refused."""
     try:
         return model_of(parameters)
