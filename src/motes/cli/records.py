@@ -72,7 +72,7 @@ def build(base: type, choice: Any, place: str, n: int | None = None) -> Any:
     known = kinds(base)
     short = {spelled(name): one for name, one in known.items()}
     ending = [one for name, one in short.items() if name.endswith(spelled(table[KIND])) and len(spelled(table[KIND])) >= SHORTEST]
-    initials = [name for name in known if "".join(filter(str.isupper, name)).lower() == table[KIND].lower()]
+    initials = [name for name in known if "".join(filter(str.isupper, name)).lower() == table[KIND].lower() and len(table[KIND]) > 1]
     kind = known.get(table[KIND]) or short.get(spelled(table[KIND])) or (ending[0] if len(ending) == 1 else None)
     if kind is None and len(initials) == 1:
         kind = known[initials[0]]
