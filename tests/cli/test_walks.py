@@ -342,7 +342,7 @@ def test_times_of_ones_own_model_come_back_as_they_were(mine):
     Path("y.csv").write_text("t;a\n" + "\n".join(rows) + "\n")
     words = ["--data", "y.csv", "--data.decimal", ",", "--data.time", "t", "--data.time_format", "day first", "--filter", "extended kalman"]
     assert main(["run", "walk_model.py:good", *words]) == 0
-    assert [row["time"] for row in told("out/track.csv")] == ["30/01/2024 12:00", "31/01/2024 12:00"]
+    assert [row["time"] for row in told("out/track.csv", ";")] == ["30/01/2024 12:00", "31/01/2024 12:00"]
 
 
 @pytest.mark.parametrize(("word", "words"), [
