@@ -1,5 +1,6 @@
 """Settings of the whole suite; its place also puts this folder on the import path, so that tests share helpers such as data.py."""
 
+import gc
 import os
 import time
 from pathlib import Path
@@ -10,6 +11,9 @@ import jax
 import pytest
 
 from tiers import NIGHT
+
+# a look through all that is alive takes seconds where thousands of programs are kept
+gc.set_threshold(700, 10, 100)
 
 SECONDS = float(os.environ.get("MOTES_SECONDS", "inf"))
 """After so many seconds no test begins any more: what is left then is skipped, and counted."""

@@ -198,7 +198,7 @@ REFUSED = {
     "row 0 partly NaN. Say partial=True": lambda: mo.run(0, FILTER, WHOLE, rows("set")),
     "first axes \\['10', '9'\\]": lambda: mo.run(0, FILTER, model("sensors"), {"one": YS[:, :1], "two": YS[:9, 1]}),
     "measurements of one form": lambda: mo.run(0, FILTER, model("set"), [np.zeros((4, 2)), np.zeros((3, 2))]),
-    "y: expected a first measurement": lambda: mo.stream(0, FILTER, model("set")).update(None),
+    "what Custom measures, NaN where it measured nothing, got None": lambda: mo.stream(0, FILTER, model("set")).update(None),
     "Custom states: expected among the states a, b, got 'c'": lambda: model("set", states=("c",)),
     "Custom states: expected a tuple": lambda: model("set", states="a"),
     "Custom digest: expected a function": lambda: model("set", digest=3),

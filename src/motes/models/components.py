@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from motes.core import checks, linalg
-from motes.core.record import replace
 from motes.laws.conditional import LinearGaussian
 from motes.laws.gaussian import Gaussian
 from motes.laws.law import Law
@@ -62,8 +61,7 @@ def assembled(components: Sequence[Component], irregular: Any, initial: Any) -> 
     if not isinstance(initial, Law):
         wide = as_variance("initial", initial)
         initial = Gaussian(jnp.zeros(len(names), variances.dtype), wide * jnp.eye(len(names), dtype=variances.dtype))
-    model = StateSpaceModel(initial, LinearGaussian(A, jnp.diag(variances)), sensor, names)
-    return replace(model, input_names=components[-1].inputs)
+    return StateSpaceModel(initial, LinearGaussian(A, jnp.diag(variances)), sensor, names, input_names=components[-1].inputs)
 
 
 def _regressors(u: Any, count: int) -> jax.Array:

@@ -39,7 +39,7 @@ class StateSpaceModel(Model):
         names: names of the states; x0, x1, ... when not given.
         noise_cross_cov: covariance `(x, y)` of the process noise that leads from t to t+1 with the measurement noise at t, an array
             or a user function; None when they are independent. Both noises must then be additive Gaussian.
-        input_names: see `Model`; regressors of `mo.models` have some.
+        input_names: names of the inputs of a step where these are an array; of tables the columns of these names are taken, in this order.
     """
 
     initial: Law
@@ -56,6 +56,7 @@ class StateSpaceModel(Model):
         sensor: Conditional,
         names: tuple[str, ...] = (),
         noise_cross_cov: MatrixLike | None = None,
+        input_names: tuple[str, ...] = (),
     ):
         """Check the kinds of the pieces, the indices of angles, the names and the cross-covariance; `check` looks at the functions.
 
@@ -78,7 +79,7 @@ class StateSpaceModel(Model):
         if noise_cross_cov is not None:
             noise_cross_cov = _checked_cross_cov(noise_cross_cov, dynamics, sensor, size)
         fields = {"initial": initial, "dynamics": dynamics, "sensor": sensor, "names": names, "noise_cross_cov": noise_cross_cov,
-                  "input_names": ()}  # fmt: skip
+                  "input_names": tuple(input_names)}  # fmt: skip
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 
