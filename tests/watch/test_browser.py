@@ -111,7 +111,7 @@ def test_each_demonstration_moves_in_the_browser(browser, tmp_path, name):
             for dark in (False, True):
                 tab = browser.tab(link, size, dark, mobile)
                 # a clip may be over by now, whose last picture stays
-                tab.waits(f"{UPDATES} > 2 || document.getElementById('status').textContent.startsWith('ended')")
+                tab.waits(f"{UPDATES} > 2 || document.getElementById('status')?.textContent.startsWith('ended')")
                 time.sleep(0.5)
                 assert tab.tells("document.documentElement.scrollWidth") <= size[0]
                 tab.picture(KEPT / f"{name}_{size[0]}_{'dark' if dark else 'light'}.png", whole=mobile)
