@@ -1,6 +1,7 @@
 """A model of the user's own, from the command line."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,8 @@ def folder(tmp_path, monkeypatch):
     """A folder with a model and its measurements, in which the user stands."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    # of another folder, where a test before this one stood
+    monkeypatch.delitem(sys.modules, "model", raising=False)
     Path("model.py").write_text(MODEL)
     table = np.column_stack([0.5 * np.arange(STEPS), YS, XS, np.ones(STEPS)])
     text = "t,a,b,x,y,wind\n" + "".join(",".join(f"{value:.9g}" for value in row) + "\n" for row in table)

@@ -77,6 +77,14 @@ def test_lists_of_whole_numbers_and_empty_ones_are_scans():
     np.testing.assert_array_equal(mo.run(0, FILTER, MODEL, [[], []]).mean, mo.run(0, FILTER, MODEL, [np.zeros((0, 2))] * 2).mean)
 
 
+def test_one_number_is_no_empty_scan_and_an_empty_array_is():
+    with pytest.raises(mo.MotesError, match="plots scan 0: expected shape"):
+        mo.run(0, FILTER, MODEL, [np.array(5.0), np.zeros((0, 2))])
+    empty = [mo.run(0, FILTER, MODEL, [blank, SCANS[1]]).mean for blank in ([], np.array([]), np.zeros((0, 2)))]
+    np.testing.assert_array_equal(empty[0], empty[2])
+    np.testing.assert_array_equal(empty[1], empty[2])
+
+
 def test_a_first_step_without_a_scan():
     stream = mo.stream(0, FILTER, MODEL)
     stream.update(None)

@@ -128,5 +128,7 @@ def test_regressors_with_names_are_taken_from_tables_by_name(double):
     np.testing.assert_array_equal(*smoothed)
     with pytest.raises(mo.MotesError, match="inputs: expected the columns price, promo, got price, place"):
         mo.run(0, mo.KalmanFilter(), model, ys, table.rename(columns={"promo": "place"})[["price", "place"]])
+    chain = mo.JumpMarkovModel([0.5, 0.5], [[0.9, 0.1], [0.1, 0.9]], [model, model])
+    np.testing.assert_array_equal(*(mo.run(0, mo.InteractingMultipleModel(), chain, ys, inputs).mean for inputs in (turned, table)))
     shouted = turned.rename(columns=str.upper)[["PRICE", "PROMO"]]
     np.testing.assert_array_equal(mo.run(0, mo.KalmanFilter(), model, ys, shouted).mean, wanted.mean)

@@ -54,6 +54,10 @@ def kinds(base: type) -> dict[str, type]:
             and dataclasses.is_dataclass(one)}  # fmt: skip
 
 
+def _initials(name: str) -> str:
+    return "".join(filter(str.isupper, name)).lower()
+
+
 def build(base: type, choice: Any, place: str, n: int | None = None) -> Any:
     """Return the record that a choice names.
 
@@ -72,12 +76,12 @@ def build(base: type, choice: Any, place: str, n: int | None = None) -> Any:
     known = kinds(base)
     short = {spelled(name): one for name, one in known.items()}
     ending = [one for name, one in short.items() if name.endswith(spelled(table[KIND])) and len(spelled(table[KIND])) >= SHORTEST]
-    initials = [name for name in known if "".join(filter(str.isupper, name)).lower() == table[KIND].lower() and len(table[KIND]) > 1]
-    kind = known.get(table[KIND]) or short.get(spelled(table[KIND])) or (ending[0] if len(ending) == 1 else None)
-    if kind is None and len(initials) == 1:
-        kind = known[initials[0]]
+    initials = [one for name, one in known.items() if len(table[KIND]) > 1 and _initials(name) == table[KIND].lower()]
+    only = [one[0] for one in (ending, initials) if len(one) == 1]
+    kind = known.get(table[KIND]) or short.get(spelled(table[KIND])) or next(iter(only), None)
     if kind is None:
-        near = [spelled(name) for name in initials] or difflib.get_close_matches(spelled(table[KIND]), short, 5, 0.4) or sorted(short)[:12]
+        close = difflib.get_close_matches(spelled(table[KIND]), short, 5, 0.4)
+        near = [spelled(one.__name__) for one in initials] or close or sorted(short)[:12]
         refuse(f"{place} {KIND}", f"the name of a {base.__name__}, such as {', '.join(near)}", shown(table[KIND]))
     fields = {field.name: field for field in dataclasses.fields(kind) if field.init is not False}
     given = {name: value for name, value in table.items() if name != KIND}

@@ -11,7 +11,6 @@ from motes.core import checks
 from motes.core.types import Inputs
 from motes.io import tabular
 from motes.io.labels import Labels, agree, untold_gaps
-from motes.laws.independent import Stacked, Together
 from motes.laws.observed import Observed
 from motes.models.interface import Model
 from motes.models.state_space import checked_inputs
@@ -32,13 +31,17 @@ def labelled_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs, Lab
     ys, found = tabular.unlabelled("ys", ys)
     if found is None:
         return *checked_data(model, ys, inputs), None
-    given = [tabular.unlabelled("inputs", leaf)[1] for leaf in jax.tree.leaves(tabular.by_name(inputs))]
-    for one in given:
-        agree("inputs", "the times of ys", found, one, "Align them first: inputs = inputs.reindex(ys.index).")
+    agree_inputs("inputs", "the times of ys", found, inputs, "Align them first: inputs = inputs.reindex(ys.index).")
     untold_gaps("ys", found)
     if sensors and found.columns and set(found.columns) <= set(sensors) and not isinstance(ys, Mapping):
         ys = {name: ys[:, [place]] for place, name in enumerate(found.columns)}
     return *checked_data(model, ys, inputs), found
+
+
+def agree_inputs(argument: str, expected: str, labels: Labels, inputs: Inputs, hint: str) -> None:
+    """Refuse inputs with times of their own that are others than those of labels; see `io.labels.agree`."""
+    for leaf in jax.tree.leaves(tabular.by_name(inputs)):
+        agree(argument, expected, labels, tabular.unlabelled(argument, leaf)[1], hint)
 
 
 def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
@@ -51,7 +54,7 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
     sensors = [part.sensor for part in model.each_mode()]
     if tabular.is_labelled(ys):
         return labelled_data(model, ys, inputs)[:2]
-    ys = sensors[0].packed(_by_sensor(sensors[0], ys))
+    ys = sensors[0].packed(ys)
     if isinstance(ys, Observed):
         ys = jax.tree.map(lambda leaf: _numbers("ys", leaf, dtype) if _is_real(leaf) else leaf, ys)
         return ys, checked_inputs(inputs, steps_of(ys), "ys", names=model.input_names)
@@ -73,21 +76,10 @@ def checked_data(model: Any, ys: Any, inputs: Inputs) -> tuple[Any, Inputs]:
 
 
 def of_one_step(model: Model, y: Any) -> Any:
-    """Return one measurement as those of a run of one step, time axis first.
-
-    Of several sensors by name a list of numbers is what one of them measured; in other trees a list is a part of the tree.
-    """
+    """Return one measurement as those of a run of one step, time axis first."""
     if is_array(y):
         return np.atleast_1d(checks.as_numbers("y", y))[None]
-    y = _with_arrays(y) if isinstance(model.each_mode()[0].sensor, (Stacked, Together)) else y
-    return jax.tree.map(lambda leaf: np.asarray(checks.as_numbers("y", leaf))[None], y)
-
-
-def _with_arrays(y: Any) -> Any:
-    """Return one measurement of several sensors by name with arrays in place of lists of numbers."""
-    if not isinstance(y, Mapping):
-        return y
-    return {name: checks.as_numbers(f"y[{name!r}]", own) if checks.are_numbers(own) else own for name, own in y.items()}
+    return jax.tree.map(lambda leaf: np.asarray(checks.as_numbers("y", leaf))[None], model.each_mode()[0].sensor.in_arrays(y))
 
 
 def steps_of(ys: Any) -> int:
@@ -122,30 +114,6 @@ def _with_rows(ys: Any) -> Any:
         return ys
     sizes = {np.shape(one) for one in ys if one is not None and is_array(one) and _rank(one) == 1}
     return [np.full(next(iter(sizes)), np.nan) if one is None else one for one in ys] if len(sizes) == 1 else ys
-
-
-def _by_sensor(sensor: Any, ys: Any) -> Any:
-    """Return a list of measurements by name, one for each step, as lists by name of a row for each step, in which None is one of NaN.
-
-    Where sensors measure what is no row of numbers, the list stays, with arrays in place of lists of numbers.
-    """
-    if isinstance(sensor, Together) and type(ys) in (list, tuple):
-        return [_with_arrays(one) for one in ys]
-    if not isinstance(sensor, Stacked):
-        return ys
-    if type(ys) in (list, tuple) and any(isinstance(one, Mapping) for one in ys):
-        names = dict.fromkeys(name for one in ys if one is not None for name in one)
-        ys = {name: [None if one is None else one.get(name) for one in ys] for name in names}
-    if not isinstance(ys, Mapping):
-        return ys
-    sizes = dict(sensor.sensors)
-
-    def rows(name: str, own: Any) -> Any:
-        if type(own) not in (list, tuple) or name not in sizes or not checks.is_concrete(own):
-            return own
-        return [np.full(sizes[name], np.nan) if one is None else np.atleast_1d(checks.as_numbers(f"ys[{name!r}]", one)) for one in own]
-
-    return {name: rows(name, own) for name, own in ys.items()}
 
 
 def _rank(value: Any) -> int:

@@ -18,6 +18,7 @@ from motes.core import checks, random
 from motes.core.record import replace
 from motes.core.types import Inputs, KeyLike
 from motes.filters import keep
+from motes.filters.data import agree_inputs
 from motes.filters.frames import ask_one_run
 from motes.filters.history import History
 from motes.filters.interface import Filter
@@ -25,8 +26,7 @@ from motes.filters.predictive import Forecast, Predictive
 from motes.filters.run import run
 from motes.gaussian.modes import expected
 from motes.gaussian.taylor import Taylor, affine, is_affine
-from motes.io import tabular
-from motes.io.labels import Labels, agree
+from motes.io.labels import Labels
 from motes.laws.carried import Carried
 from motes.laws.circular import gathered
 from motes.laws.cloud import draw, weighted_moments
@@ -134,9 +134,8 @@ def _inputs_ahead(history: History, model: Model, steps: int, inputs: Inputs) ->
         checks.refuse("forecast inputs", wanted, "None" if inputs is None else type(inputs).__name__)
     if history.labels is not None and history.labels.index is not None:
         ahead = replace(history.labels, index=history.labels.continued(steps))
-        for leaf in jax.tree.leaves(tabular.by_name(inputs)):
-            given = tabular.unlabelled("forecast inputs", leaf)[1]
-            agree("forecast inputs", "the times of the steps ahead", ahead, given, "They begin one step after the last measurement.")
+        hint = "They begin one step after the last measurement."
+        agree_inputs("forecast inputs", "the times of the steps ahead", ahead, inputs, hint)
     return checked_inputs(inputs, steps, "forecast steps", "forecast inputs", model.input_names)
 
 

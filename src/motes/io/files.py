@@ -1,5 +1,6 @@
 """What every reader does first: look at the file itself before any library does, and turn foreign errors into ours."""
 
+import hashlib
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -10,6 +11,9 @@ from typing import NoReturn
 from filelock import FileLock, Timeout
 
 from motes.core.checks import FileError, MotesError, refuse
+
+MARK = 1024
+"""Bytes before a position by which a file is known again."""
 
 
 def label(path: str | os.PathLike[str]) -> str:
@@ -31,6 +35,12 @@ def lock(path: Path, refused: Callable[[], NoReturn]) -> FileLock:
     except Timeout:
         refused()
     return found
+
+
+def known_by(file: int, position: int) -> str:
+    """Return a digest of the last bytes before a position of an open file, but for the one before it, which ends a line."""
+    begin = max(0, position - 1 - MARK)
+    return hashlib.sha256(os.pread(file, max(0, position - 1 - begin), begin)).hexdigest()[:16]
 
 
 def look(path: str | os.PathLike[str], count: int) -> tuple[int, bytes]:

@@ -81,7 +81,11 @@ class Table:
 
         Args:
             decimal: mark of decimals, "." or ","; with the latter columns are parted by semicolons.
+
+        Raises:
+            MotesError: the mark is another.
         """
+        checks.option("table decimal", decimal, (".", ","))
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n", delimiter=";" if decimal == "," else ",")
         writer.writerow(_csv(name, decimal) for name in self.columns)

@@ -70,6 +70,10 @@ class Conditional(ABC):
         """Return measurements as they come, time axis first, in the form in which they are computed with; as they are by default."""
         return ys
 
+    def in_arrays(self, y: Any) -> Any:
+        """Return one measurement that is a tree with arrays in place of lists of numbers, where lists are no parts of the tree."""
+        return y
+
     def silence(self, steps: int) -> Any:
         """Return measurements of so many steps in which nothing was measured, in the form in which they are computed with.
 

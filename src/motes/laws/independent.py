@@ -72,12 +72,19 @@ class Stacked(AdditiveGaussian):
         """Means given each particle, `(y, n)`."""
         return jnp.concatenate([part.means(X, u, t) for part in self.parts])
 
+    def in_arrays(self, y: Any) -> Any:
+        """Return one measurement by name with arrays in place of lists of numbers."""
+        return _in_arrays(y)
+
     def packed(self, ys: Any) -> Any:
-        """Return measurements by name as an array, time axis first."""
+        """Return measurements by name, lists by name or a list with a dictionary for each step, as an array, time axis first."""
+        if type(ys) in (list, tuple) and any(isinstance(one, Mapping) for one in ys):
+            names = dict.fromkeys(name for one in ys if one is not None for name in one)
+            ys = {name: [None if one is None else one.get(name) for one in ys] for name in names}
         if not isinstance(ys, Mapping):
             return ys
         sizes = dict(self.sensors)
-        ys = {name: own for name, own in ys.items() if own is not None}
+        ys = {name: _listed_rows(name, own, sizes.get(name)) for name, own in ys.items() if own is not None}
         unknown = [name for name in ys if name not in sizes]
         if unknown or not ys:
             checks.refuse("ys", f"measurements of {', '.join(sizes)}", repr(unknown[0]) if unknown else "none")
@@ -117,8 +124,14 @@ class Together(Conditional):
         """Return the sensors of which there are measurements, each with its own."""
         return [(part, value[name]) for name, part in self._by_name() if isinstance(value, Mapping) and name in value]
 
+    def in_arrays(self, y: Any) -> Any:
+        """Return one measurement by name with arrays in place of lists of numbers."""
+        return _in_arrays(y)
+
     def packed(self, ys: Any) -> Any:
-        """Return measurements by name, those of each sensor as it computes with them."""
+        """Return measurements by name, those of each sensor as it computes with them; a list with a dictionary for each step stays one."""
+        if type(ys) in (list, tuple):
+            return [_in_arrays(one) for one in ys]
         if not isinstance(ys, Mapping):
             return ys
         parts = dict(self._by_name())
@@ -172,6 +185,19 @@ class Together(Conditional):
 
 def _stacked_mean(x: jax.Array, u: Any, t: Any) -> jax.Array:
     raise NotImplementedError
+
+
+def _in_arrays(y: Any) -> Any:
+    if not isinstance(y, Mapping):
+        return y
+    return {name: checks.as_numbers(f"y[{name!r}]", own) if checks.are_numbers(own) else own for name, own in y.items()}
+
+
+def _listed_rows(name: str, own: Any, size: int | None) -> Any:
+    """Return what a sensor of so many components measured, where it is a list for each step, with NaN in place of None."""
+    if type(own) not in (list, tuple) or size is None or not checks.is_concrete(own):
+        return own
+    return [np.full(size, np.nan) if one is None else np.atleast_1d(checks.as_numbers(f"ys[{name!r}]", one)) for one in own]
 
 
 def _steps(ys: Mapping[str, Any]) -> int:

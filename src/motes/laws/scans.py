@@ -104,4 +104,4 @@ def _scans(ys: Any, size: int | None) -> Observed:
 
 def _is_blank(scan: Any) -> bool:
     """Tell `[]`, which does not say how many components a plot has."""
-    return isinstance(scan, (list, tuple, np.ndarray)) and len(np.shape(scan) if isinstance(scan, np.ndarray) else scan) == 0
+    return len(scan) == 0 if isinstance(scan, (list, tuple)) else isinstance(scan, np.ndarray) and scan.shape == (0,)

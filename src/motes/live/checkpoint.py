@@ -105,12 +105,13 @@ class Checkpoint:
         hint = f"Move it away, or set resume = false (--live.no-resume) to begin anew: {label(self.path)}"
         try:
             beside = read_tree(self.path, "checkpoint")[1].get("beside")
-            if isinstance(beside, dict) and beside.get("begun") and beside.get("identity") != self._identity:
+            beside = beside if isinstance(beside, dict) else {}
+            kept = beside.get("identity")
+            other = [name for name, one in self._identity.items() if not isinstance(kept, dict) or kept.get(name) != one]
+            if other and beside.get("begun"):
                 # nothing was kept of it that could be lost
                 return None
-            if not isinstance(beside, dict) or beside.get("identity") != self._identity:
-                kept = beside.get("identity") if isinstance(beside, dict) else None
-                other = [name for name, one in self._identity.items() if not isinstance(kept, dict) or kept.get(name) != one]
+            if other:
                 checks.refuse(f"checkpoint {label(self.path)}", "one of this run", f"one of another {', '.join(other)}", hint, FileError)
             if beside.get("begun"):
                 return Kept(None, beside)

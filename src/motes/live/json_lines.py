@@ -6,9 +6,8 @@ from contextlib import suppress
 from typing import Any
 
 from motes.io.archive import POSIX
-from motes.io.files import foreign, reject
+from motes.io.files import foreign, known_by, reject
 from motes.live.counts import LOG
-from motes.live.lines import digest
 from motes.live.sink import IN_USE, Sink, line_of
 
 
@@ -67,7 +66,7 @@ class JSONLines(Sink):
 
     def kept(self) -> tuple[int, str] | None:
         """Return how many bytes the lines are, and what the file is known by there."""
-        return (self._end, _known_by(self._file, self._end)) if self._plain else None
+        return (self._end, _mark_of(self._file, self._end)) if self._plain else None
 
     def go_on(self, kept: Any, cut: bool) -> None:
         """Go on behind the lines that are there, or that were there at the checkpoint."""
@@ -75,7 +74,7 @@ class JSONLines(Sink):
             return
         if cut and kept is not None:
             size, (end, mark) = os.fstat(self._file).st_size, kept
-            if end <= size and mark == _known_by(self._file, end):
+            if end <= size and mark == _mark_of(self._file, end):
                 os.ftruncate(self._file, end)
             elif size:
                 LOG.warning("sink %s: it is another file than at the checkpoint; lines go on behind what is in it.", self.name)
@@ -136,12 +135,12 @@ def _is_at(file: int, path: str) -> bool:
         return False
 
 
-def _known_by(file: int, size: int) -> str:
+def _mark_of(file: int, size: int) -> str:
     """Return what an open file is known by: the last of so many bytes, or what it is to the system where none can be read."""
     # a shell may have opened it to be written only
     with suppress(OSError):
         if size:
-            return digest(file, size)
+            return known_by(file, size)
     return f"{os.fstat(file).st_dev}:{os.fstat(file).st_ino}"
 
 

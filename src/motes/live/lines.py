@@ -1,6 +1,5 @@
 """Lines of standard input, a file, or a serial line."""
 
-import hashlib
 import os
 import select
 import stat
@@ -9,23 +8,15 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from motes.io.files import foreign, reject
+from motes.io.files import foreign, known_by, reject
 from motes.live.counts import LOG
 from motes.live.message import LONGEST, Form, Unreadable, parsed
 from motes.live.source import Received, TextSource
 
 PIECE = 1 << 16
 """Bytes that are read at a time."""
-MARK = 1024
-"""Bytes before a position by which a file is known again."""
 AGAIN = (0.5, 1.0, 2.0, 5.0)
 """Seconds until a line that was broken is opened again, and so on."""
-
-
-def digest(file: int, position: int) -> str:
-    """Return a digest of the last bytes before a position of an open file, without the end of the line."""
-    begin = max(0, position - 1 - MARK)
-    return hashlib.sha256(os.pread(file, max(0, position - 1 - begin), begin)).hexdigest()[:16]
 
 
 class Lines(TextSource):
@@ -85,7 +76,7 @@ class Lines(TextSource):
         """Return a digest of the last bytes before a position of a plain file, without the end of the line, which may still be missing."""
         if not self.repeats:
             return None
-        return digest(self._file, position)
+        return known_by(self._file, position)
 
     def close(self) -> None:
         """Close the file."""

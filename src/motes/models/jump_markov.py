@@ -130,6 +130,11 @@ class JumpMarkovModel(Model):
         return tuple(sorted({a for model in self.models for a in model.circular}))
 
     @property
+    def input_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the inputs, as the first mode has them."""
+        return self.models[0].input_names
+
+    @property
     def dtype(self) -> jnp.dtype:
         """Floating type of the states."""
         return self.models[0].dtype

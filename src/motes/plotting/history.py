@@ -98,7 +98,7 @@ def history_figure(result: History | Smoothed, truth: Any, states: tuple[int, ..
         axes.fill_between(drawn.times, mean - 2 * deviation, mean + 2 * deviation, color=ESTIMATE, alpha=0.22, linewidth=0, label="2 sigma")
         axes.plot(drawn.times, mean, color=ESTIMATE, linewidth=1.4, label="mean")
         _truth(axes, drawn, state)
-        _frame(axes, drawn, state)
+        _frame(axes, mean, deviation, [] if drawn.truth is None else drawn.truth[:, state])
     legend_below(figure, panels[0], 3)
     if sampled:
         axes = panels[-1]
@@ -121,15 +121,14 @@ def _truth(axes: Any, drawn: Course, state: int) -> None:
         axes.plot(drawn.times, drawn.truth[:, state], **DASHED, label="truth")
 
 
-def _frame(axes: Any, drawn: Course, state: int) -> None:
+def _frame(axes: Any, mean: np.ndarray, deviation: np.ndarray, truth: Any) -> None:
     """Frame what is known: bands that are very much wider than most go beyond."""
-    mean, deviation = drawn.mean[:, state], drawn.deviation[:, state]
-    usual = WIDE * np.nanmedian(deviation)
-    if np.nanmax(deviation) > usual > 0:
-        known = deviation <= usual
-        ends = [mean[known] - 2 * deviation[known], mean[known] + 2 * deviation[known]]
-        ends += [] if drawn.truth is None else [drawn.truth[:, state]]
-        low, high = np.nanmin(np.concatenate(ends)), np.nanmax(np.concatenate(ends))
+    finite = deviation[np.isfinite(deviation)]
+    usual = WIDE * np.median(finite) if finite.size else 0.0
+    known = deviation <= usual
+    if usual > 0 and not known.all():
+        ends = np.concatenate([(mean - 2 * deviation)[known], (mean + 2 * deviation)[known], truth])
+        low, high = np.nanmin(ends), np.nanmax(ends)
         axes.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
 
 
