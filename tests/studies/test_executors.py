@@ -62,15 +62,17 @@ def test_the_command_hands_its_words_to_the_workers(client, tmp_path, monkeypatc
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(monkeypatch):
-    distributed = pytest.importorskip("distributed")
-    with pytest.raises(mo.MotesError) as error:
-        executors.client("nowhere at all")
-    refused(error, "scheduler: expected the address of a Dask scheduler, such as tcp://127.0.0.1:8786, got 'nowhere at all'")
+    distributed, asked = pytest.importorskip("distributed"), []
 
     def silent(address, timeout):
+        asked.append(address)
         raise OSError(f"Timed out trying to connect to {address}")
 
     monkeypatch.setattr(distributed, "Client", silent)
+    with pytest.raises(mo.MotesError) as error:
+        executors.client("nowhere at all")
+    refused(error, "scheduler: expected the address of a Dask scheduler, such as tcp://127.0.0.1:8786, got 'nowhere at all'")
+    assert not asked  # no client is left behind that does not know where it belongs
     with pytest.raises(mo.MotesError) as error:
         executors.client("tcp://127.0.0.1:1")
     refused(error, "'tcp://127.0.0.1:1' (Timed out trying to connect to tcp://127.0.0.1:1). Is `dask scheduler` running there")

@@ -80,6 +80,7 @@ def client(address: str) -> Any:
     """
     distributed = checks.need("distributed", "studies")
     try:
+        distributed.comm.get_address_host_port(address)  # a client that fails at this stays the default of everything else in Dask
         return distributed.Client(address, timeout="10s")
     except (OSError, ValueError, TypeError) as reason:
         told = str(reason).splitlines()[0][:200] if str(reason) else type(reason).__name__
