@@ -107,8 +107,7 @@ def as_numbers(argument: str, value: Any, expected: str = "an array of numbers")
         refuse(argument, expected, *_ragged(value))
     if array.dtype == object:
         array = np.array([_as_number(argument, item, place, expected) for place, item in np.ndenumerate(array)]).reshape(array.shape)
-    known = np.issubdtype(array.dtype, np.number) or array.dtype == bool or jnp.issubdtype(array.dtype, jnp.floating)
-    if not known or np.issubdtype(array.dtype, np.complexfloating) or np.issubdtype(array.dtype, np.timedelta64):
+    if array.dtype.kind not in "biuf" and not jnp.issubdtype(array.dtype, jnp.floating):
         refuse(argument, expected, f"dtype {array.dtype}")
     return array
 

@@ -9,6 +9,8 @@ from motes.live.source import Source
 
 POLL = 0.2
 """Seconds after which is looked at whether the run is to end, while nothing comes."""
+TOGETHER = 100
+"""Messages that are handed to the filter at a time."""
 QUEUE = 200_000
 """Messages that may wait for the filter."""
 
@@ -53,17 +55,17 @@ class Inbox:
                 self._queue.clear()
                 return found
             return self._source.receive(timeout)
-        self._came.wait(timeout)
+        # what came before the source was over is here by now
+        over = self._over
+        if not self._queue and not over:
+            self._came.wait(timeout)
         self._came.clear()
-        found = []
-        while self._queue:
-            found.append(self._queue.popleft())
-        if self._over:
-            self._came.set()
-            if not found:
-                if self._failure is not None:
-                    raise self._failure
-                return None
+        # few at a time: those that are handed out and not taken yet would be held beside all that come meanwhile
+        found = [self._queue.popleft() for _ in range(min(len(self._queue), TOGETHER))]
+        if over and not found:
+            if self._failure is not None:
+                raise self._failure
+            return None
         return found
 
     def put_back(self, received: Sequence[Any]) -> None:

@@ -168,7 +168,7 @@ class Form:
         return Message(whole, y, self._inputs(values), time, None if number is None else int(number), digest=digest)
 
     def _measured(self, content: dict[str, Any]) -> Any:
-        parts = {name: _values(name, content.get(name), missing=True) for name in self.columns}
+        parts = {name: _values(name, content.get(name)) for name in self.columns}
         if self.by_name:
             return {name: _in_form(name, None if content.get(name) is None else part, np.shape(self._y[name]))
                     for name, part in parts.items()}  # fmt: skip
@@ -186,7 +186,7 @@ class Form:
         return y
 
     def _values_of_inputs(self, content: dict[str, Any]) -> dict[str, np.ndarray]:
-        values = {name: _values(name, content[name]) for name in self.inputs if content.get(name) is not None}
+        values = {name: _held_values(name, content[name], self._kind) for name in self.inputs if content.get(name) is not None}
         for name, value in values.items():
             if value.shape != self._shapes.get(name, value.shape):
                 raise Unreadable(f"the input {name!r} of shape {value.shape}, expected {self._shapes[name]}")
@@ -289,16 +289,26 @@ def _in_form(name: str, found: np.ndarray | None, shape: tuple[int, ...]) -> np.
     return found
 
 
-def _values(name: str, found: Any, missing: bool = False) -> np.ndarray:
-    """Return numbers of JSON as an array; null is NaN in what may be missing."""
+def _values(name: str, found: Any) -> np.ndarray:
+    """Return numbers of JSON as an array; null is NaN."""
     try:
         array = np.asarray(checks.as_numbers(name, found), np.float64)
     except (checks.MotesError, ValueError, OverflowError):
         raise Unreadable(f"{name!r} is no number or list of numbers: {found!a:.60}") from None
-    if not missing:
+    if np.isinf(array).any():
+        raise Unreadable(f"{name!r} is not finite: {found!a:.60}")
+    return array
+
+
+def _held_values(name: str, found: Any, kind: Any) -> np.ndarray:
+    """Return numbers of JSON as an array of what the filter computes with; nothing is missing.
+
+    An input that it cannot hold would hold all the same, for all that follow.
+    """
+    array = _values(name, found)
+    if array.dtype != kind:
         with np.errstate(over="ignore"):
-            # an input that the filter cannot hold would hold all the same, for all that follow
-            array = array.astype(jnp.result_type(float))
-    if np.isinf(array).any() or (not missing and np.isnan(array).any()):
+            array = array.astype(kind)
+    if not np.isfinite(array).all():
         raise Unreadable(f"{name!r} is not finite: {found!a:.60}")
     return array
