@@ -87,7 +87,8 @@ def test_missing_rows_are_told_and_filled(index, gone, words):
 
 
 @pytest.mark.parametrize("freq, zone", [("D", "Europe/Berlin"), ("D", None), ("ME", None), ("MS", "Asia/Tokyo"), ("QS", None), ("YE", None),
-                                        ("B", None), ("h", "Europe/Berlin"), ("2W", None), ("90s", None)])  # fmt: skip
+                                        ("BME", None), ("BQS", None), ("B", None), ("h", "Europe/Berlin"),
+                                        ("2W", None), ("90s", None)])  # fmt: skip
 def test_regular_indices_go_on_as_pandas_goes_on(freq, zone):
     index = pd.date_range("2023-10-20", periods=14, freq=freq, tz=zone)
     labels = unlabelled("ys", pd.Series(0.0, index[:8]))[1]

@@ -1,5 +1,6 @@
 """Regular axes of time: the step from row to row, which rows are missing, how they go on; in steps of months and weekdays, too."""
 
+from collections.abc import Callable
 from datetime import UTC
 from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -9,6 +10,13 @@ import numpy as np
 DAY = np.timedelta64(1, "D")
 NEAR = 1e-3
 """Share of a step by which floating-point numbers may miss their place."""
+DAYS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "first": lambda months: months.astype("datetime64[D]"),
+    "last": lambda months: (months + 1).astype("datetime64[D]") - DAY,
+    "last weekday": lambda months: np.busday_offset((months + 1).astype("datetime64[D]"), -1, roll="forward"),
+    "first weekday": lambda months: np.busday_offset(months.astype("datetime64[D]"), 0, roll="forward"),
+}
+"""Days of months that a calendar may go by; the one that dates are equally far from first."""
 CLOCK = ((86_400, "day"), (3_600, "hour"), (60, "minute"), (1, "second"))
 
 
@@ -20,7 +28,7 @@ class Calendar(NamedTuple):
         first: where it begins, in the form in which steps are counted.
         step: number, duration, or number of months or weekdays, from place to place.
         within: what comes on top of the date of a month or a weekday: the time of day, and the day of the month.
-        ends: whether dates are the last of their months.
+        day: of months: the one from which `within` counts, a name in DAYS.
         zone: time zone whose clock the steps go by; empty where it is UTC, or none is known.
     """
 
@@ -28,7 +36,7 @@ class Calendar(NamedTuple):
     first: Any
     step: Any
     within: np.timedelta64 = np.timedelta64(0, "s")
-    ends: bool = False
+    day: str = "first"
     zone: str = ""
 
     def shown(self, places: np.ndarray) -> np.ndarray:
@@ -37,8 +45,7 @@ class Calendar(NamedTuple):
             return self.first + places * self.step
         if self.kind == "weekday":
             return np.busday_offset(self.first, places * self.step) + self.within
-        months = self.first + places * self.step
-        return ((months + 1).astype("datetime64[D]") - DAY if self.ends else months.astype("datetime64[D]")) + self.within
+        return DAYS[self.day](self.first + places * self.step) + self.within
 
     def at(self, places: np.ndarray, dtype: np.dtype) -> np.ndarray:
         """Return the same, times in UTC."""
@@ -115,18 +122,17 @@ def _weekdays(index: np.ndarray) -> tuple[Calendar, np.ndarray] | None:
 
 
 def _months(index: np.ndarray) -> tuple[Calendar, np.ndarray] | None:
-    """Return the axis of some day of the months, or of the last day of each."""
+    """Return the axis of some day of the months, or of the last one of each, or of the first or last from Monday to Friday."""
     months = index.astype("datetime64[M]")
-    within = index - months.astype("datetime64[D]")
-    after = index - (months + 1).astype("datetime64[D]")
-    ends = bool((within != within[0]).any())
-    if ends and (after != after[0]).any():
-        return None
     found = _even(months, "month")
     if found is None:
         return None
-    step = int(found[0].step / np.timedelta64(1, "M"))
-    return Calendar("month", months[0], step, after[0] + DAY if ends else within[0], ends), found[1]
+    for name, day in DAYS.items():
+        within = index - day(months)
+        if (within == within[0]).all():
+            step = int(found[0].step / np.timedelta64(1, "M"))
+            return Calendar("month", months[0], step, within[0], name), found[1]
+    return None
 
 
 def _if_regular(found: Calendar, counts: np.ndarray) -> tuple[Calendar, np.ndarray] | None:

@@ -61,7 +61,7 @@ def filled(ys: Any) -> Labelled:
     """Return measurements with a row of NaN for each time that is missing from their regular index.
 
     Models take one step from row to row: with the rows that were left out in their places a step always takes as long. Steps are even, or
-    go by months, by their last days, or from Monday to Friday.
+    go by months, by their last days, by their first or last weekdays, or from Monday to Friday.
 
     Example:
         >>> days = np.array(["2024-01-01", "2024-01-02", "2024-01-04", "2024-01-05"], "datetime64[D]")
