@@ -8,6 +8,7 @@ import warnings
 import zipfile
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
@@ -227,6 +228,22 @@ def test_inputs_of_a_forecast_are_of_the_steps_ahead():
     with pytest.raises(mo.MotesError) as error:
         mo.forecast(history, 4, prices.iloc[4:8])
     refused(error, "forecast inputs: expected the times of the steps ahead", "1964-01-01", "1963-01-01", "one step after")
+
+
+def test_columns_of_inputs_are_taken_by_the_names_of_a_mixed_model():
+    def particle(x_p, u, t):
+        return x_p + u[:1], jnp.ones((1, 1)), 0.1 * jnp.eye(1)
+
+    def kalman(x_p, u, t):
+        return u[1:], 0.5 * jnp.eye(1), 0.1 * jnp.eye(1)
+
+    start = mo.Gaussian([0.0], [[1.0]])
+    model = mo.MixedLinearModel(start, start, particle, kalman, lambda x_p, u, t: (x_p, jnp.zeros((1, 1)), jnp.eye(1)),
+                                input_names=("push", "drift"))  # fmt: skip
+    inputs = pd.DataFrame({"drift": np.sin(np.arange(6.0)), "push": 3.0})
+    for filter, one in ((mo.MarginalizedParticleFilter(n=20), model), (mo.ParticleFilter(n=20), model.as_state_space())):
+        by_name, by_place = (mo.run(0, filter, one, VALUES[:, None], u) for u in (inputs, inputs[["push", "drift"]].to_numpy()))
+        assert np.array_equal(by_name.mean, by_place.mean)
 
 
 def test_posteriors_and_parallel_runs_take_them():

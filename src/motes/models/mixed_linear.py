@@ -49,6 +49,7 @@ class MixedLinearModel(Model):
         linear: places of x_k in the user's order of states; x_p fills the rest in order. The last k by default.
         names: names of all states in the user's order.
         circular: places of the states that are angles in radians, in the user's order.
+        input_names: names of the inputs of a step where these are an array; see `StateSpaceModel`.
     """
 
     initial_p: Law
@@ -62,6 +63,7 @@ class MixedLinearModel(Model):
     linear: tuple[int, ...] = static(default=())
     names: tuple[str, ...] = static(default=())
     circular: tuple[int, ...] = static(default=())
+    input_names: tuple[str, ...] = static(default=())
 
     def __post_init__(self) -> None:
         """Fill in the order and the names.
@@ -163,6 +165,7 @@ class MixedLinearModel(Model):
             AdditiveGaussian(dynamics_mean, dynamics_cov, self.circular),
             AdditiveGaussian(sensor_mean, lambda x, u, t: self.sensor(parts_of(x)[0], u, t)[2], self.angles),
             self.names,
+            input_names=self.input_names,
         )
 
 
