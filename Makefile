@@ -29,7 +29,7 @@ demo: $(STAMP)
 # is kept in .jax for the next time
 check: lint
 	@XLA_FLAGS="$$($(BIN)/python tests/quick.py)" MOTES_SECONDS=110 JAX_COMPILATION_CACHE_DIR=$(CURDIR)/.jax JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.2 \
-		$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not optimized" $$($(BIN)/python tests/sources.py)
+		$(BIN)/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not optimized" $$($(BIN)/python tests/sources.py)
 
 # quick.py: compiles three times as fast; what asks for the full compiler is marked "optimized". Both processes share what they compile, and
 # it is kept in .jax for the next time

@@ -38,7 +38,7 @@ def _forget_programs():
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave what is marked to the night, or to JAX, and keep the tests of one filter together: they share what they compile."""
+    """Leave what is marked to the night, or to JAX, and keep together what shares programs: tests of a file, or of one filter."""
     native = os.environ.get("MOTES_ENGINE") == "native"
 
     def left(item):
@@ -51,9 +51,9 @@ def pytest_collection_modifyitems(config, items):
     groups = {}
     for item in items:
         filter = getattr(item, "callspec", None) and item.callspec.params.get("filter")
-        group = f"contract {filter!r}" if filter is not None and "contract" in str(item.path) else item.nodeid
+        group = f"contract {filter!r}" if filter is not None and "contract" in str(item.path) else item.nodeid.split("::")[0]
         groups.setdefault(group, []).append(item)
-        if group != item.nodeid:
+        if item.get_closest_marker("xdist_group") is None:
             item.add_marker(pytest.mark.xdist_group(group))
     items[:] = [item for group in groups.values() for item in group]
 
