@@ -300,6 +300,18 @@ def test_doctor(tmp_path):
         assert word in done.stdout
 
 
+def test_report_of_a_run(tmp_path, monkeypatch, capsys):
+    import motes as mo
+
+    model = mo.StateSpaceModel(mo.Gaussian([0.0], [[1.0]]), mo.LinearGaussian([[0.9]], [[1.0]]), mo.LinearGaussian([[1.0]], [[1.0]]))
+    history = mo.run(0, mo.KalmanFilter(), model, [[1.0], [2.0], [0.5]])
+    monkeypatch.chdir(tmp_path)
+    history.save("run.npz")
+    assert main(["report", "run.npz"]) == 0
+    assert str(history) in capsys.readouterr().out and "<h1>Run</h1>" in Path("report.html").read_text()
+    refused(capsys, ["report", "none.npz"], "none.npz")
+
+
 def test_report_of_a_store(tmp_path, monkeypatch, capsys):
     import motes as mo
 
@@ -314,10 +326,10 @@ def test_report_of_a_store(tmp_path, monkeypatch, capsys):
     assert main(["report", "--", "-rf", "--out=-o.html"]) == 0 and (tmp_path / "-o.html").is_file()
     assert main(["report", "./-rf"]) == 0 and (tmp_path / "report.html").is_file()
     refused(capsys, ["report", "-rf"], "options", "-rf")
-    refused(capsys, ["report", "--"], "the folder of a study first")
+    refused(capsys, ["report", "--"], "the folder of a study or the file of a run first")
     refused(capsys, ["run", "--", "-none.toml"], "-none.toml")
     (tmp_path / "-rf").rename(tmp_path / "runs")
-    refused(capsys, ["report"], "the folder of a study first", "nothing")
+    refused(capsys, ["report"], "the folder of a study or the file of a run first", "nothing")
     refused(capsys, ["report", tmp_path], "ledger.sqlite", "the ledger of a study")
     refused(capsys, ["report", tmp_path / "runs", "--out", "page.txt"], "page.txt", ".html")
     refused(capsys, ["report", tmp_path / "runs", "--outt", "x"], "--outt")

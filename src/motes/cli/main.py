@@ -19,7 +19,7 @@ COMMANDS = {
     "watch": "look at a filter while it works, on a page of this machine",
     "study": "compare filters on many simulated runs",
     "calibrate": "measure what the parts of a filter cost on this machine",
-    "report": "write the web page of a study from the folder of its runs",
+    "report": "write the web page of a study or a run from what is kept of it",
     "doctor": "print versions, devices and precision",
     "completion": "print what bash, zsh or fish needs to complete these words",
 }
