@@ -1,5 +1,6 @@
-"""Ctrl-C ends the command at once, whatever it does: a thread of its own hears it. SIGTERM lets a run that is kept save itself first, and
-so does SIGHUP, which comes where a terminal is closed.
+"""Ctrl-C ends the command at once, whatever it does: a thread of its own hears it. SIGTERM lets a run that is kept save itself first.
+
+So does SIGHUP, which comes where a terminal is closed.
 
 A Python handler runs only between two steps of the main thread, which can be in compiled code for minutes, or asleep there for good; an
 exception that a handler raises can be lost in a destructor or in somebody's callback; and threads of XLA that still compute while Python
@@ -65,8 +66,9 @@ def keeps(where: str) -> None:
 
 @contextmanager
 def saving(interrupts: bool = False) -> Iterator[None]:
-    """Let the first SIGTERM, and SIGHUP, only ask the work in a `with` block to end, which looks at `is_asked` now and then, saves, and
-    calls `end`.
+    """Let the first SIGTERM or SIGHUP only ask the work in a `with` block to end.
+
+    That looks at `is_asked` now and then, saves, and calls `end`.
 
     Args:
         interrupts: whether the first Ctrl-C asks, too.
