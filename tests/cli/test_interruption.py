@@ -88,6 +88,31 @@ def test_in_the_background_of_a_shell_it_hears_that_it_is_to_end():
     assert (process.returncode, err) == (143, "motes doctor: ended by SIGTERM\n")
 
 
+SAVING = """
+import time
+from motes.cli import interruption
+def main(words):
+    with interruption.saving():
+        print("in", flush=True)
+        while not interruption.is_asked():
+            time.sleep(0.01)
+        print("asked", flush=True)
+        time.sleep(0.3)
+        interruption.keeps("out")
+        interruption.end()
+"""
+
+
+def test_who_is_told_twice_that_the_terminal_was_closed_saves_first():
+    process = started(SAVING + ASLEEP.format(body="main"))
+    assert process.stdout.readline() == "in\n"
+    for said in ("asked\n", ""):
+        process.send_signal(signal.SIGHUP)
+        assert process.stdout.readline() == said
+    err = process.communicate(timeout=SECONDS)[1]
+    assert process.returncode == 129 and err.startswith("motes doctor: ended by SIGHUP; what was done is kept in out"), err
+
+
 def test_an_ordinary_handler_is_not_heard_there():
     locked = "lambda words: (print('in', flush=True), [ctypes.CDLL(None).pthread_mutex_lock(mutex) for _ in range(2)])"
     process = started(ASLEEP.format(body=locked).replace("sys.argv =", "cli.interruption.heed = lambda name: None\nsys.argv ="))

@@ -67,6 +67,9 @@ def test_a_run_that_was_told_to_end_and_one_that_was_killed_go_on_to_the_same_li
     (("--source", "udp://127.0.0.1:0", "--live.patience", "0.05"), "expected a message within 0.05 s, got none"),
     (("--budget", "5"), "budget: expected a time with its unit"),
     (("--live.lag", "-1"), "live lag: expected a whole number of at least 0"),
+    (("--live.lag", "9" * 30), "live lag: expected at most 100000 steps"),
+    (("--live.columns", "a", "a"), "live columns: expected names that differ, got 'a, a'"),
+    (("--live.fields", "t", "a", "a"), "live fields: expected names that differ"),
     (("--filters.a", "kalman", "--filters.b", "kalman"), "expected one filter, got a, b"),
     (("--live.late", "later"), "later"),
 ])  # fmt: skip

@@ -67,6 +67,13 @@ def test_what_waits_comes_in_order_with_the_same_bits():
     assert [record["step"] for record in found] == list(range(30))
 
 
+def test_what_is_later_than_all_waits_is_dropped_and_counted_once():
+    times = [0.0, 0.1, 0.2, 0.3, 0.25, 0.05, 0.4]
+    for wait, late in ((0.0, 2), (0.07, 1)):
+        found, counts = placed(times, late="wait", wait=wait)
+        assert (counts["dropped"], counts["sorted"], len(found)) == (late, 2 - late, 7 - late)
+
+
 def test_what_waits_for_long_is_no_jump():
     times = [0.1 * k for k in range(300)]
     found, counts = placed(times, arrived=[5.0 + 0.1 * k for k in range(300)], late="wait", wait=20.0, jump=10.0)

@@ -192,6 +192,11 @@ def test_recordings_are_replayed_at_their_speed():
     for other in (ys + 1, ys[:3]):
         with pytest.raises(mo.FileError, match="rows: expected the recording that was taken up to row 4, got another one"):
             Replay("rows", other, {"push": other}).check(4, fast.mark(4))
+    long, other = np.zeros((1000, 1)), np.eye(1000, 1)
+    one = Replay("rows", long)
+    assert [one.mark(position) for position in (300, 900, 899)] == [Replay("rows", long).mark(position) for position in (300, 900, 899)]
+    with pytest.raises(mo.FileError, match="taken up to row 900, got another one"):
+        Replay("rows", other).check(900, one.mark(900))
 
 
 @pytest.mark.parametrize(("address", "why"), [

@@ -1,5 +1,7 @@
 """Ctrl-C ends the command at once, whatever it does: a thread of its own hears it. SIGTERM lets a run that is kept save itself first.
 
+So does SIGHUP, which comes where a terminal is closed.
+
 A Python handler runs only between two steps of the main thread, which can be in compiled code for minutes, or asleep there for good; an
 exception that a handler raises can be lost in a destructor or in somebody's callback; and threads of XLA that still compute while Python
 tears down around them end in a segmentation fault. So nothing is torn down. What is kept on disk is written whole or not at all.
@@ -18,6 +20,9 @@ from motes.io.unfinished import remove_unfinished
 
 CODES: dict[int, int] = {signal.SIGINT: 130, signal.SIGTERM: 143}
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "ended by SIGTERM"}
+HANGUP: int | None = getattr(signal, "SIGHUP", None)
+if HANGUP is not None:
+    CODES[HANGUP], WORDS[HANGUP] = 129, "ended by SIGHUP"
 SHOW_CURSOR = "\x1b[?25h\n"
 
 _ending = threading.Lock()
@@ -30,7 +35,7 @@ _instead: Callable[[int], object] | None = None
 
 
 def heed(name: str) -> None:
-    """End this process with one line and exit code 130 or 143 when it is interrupted, or told to end.
+    """End this process with one line and exit code 130, 143 or 129 when it is interrupted, or told to end.
 
     Args:
         name: what was interrupted, for the line.
@@ -61,13 +66,15 @@ def keeps(where: str) -> None:
 
 @contextmanager
 def saving(interrupts: bool = False) -> Iterator[None]:
-    """Let the first SIGTERM only ask the work in a `with` block to end, which looks at `is_asked` now and then, saves, and calls `end`.
+    """Let the first SIGTERM or SIGHUP only ask the work in a `with` block to end.
+
+    That looks at `is_asked` now and then, saves, and calls `end`.
 
     Args:
         interrupts: whether the first Ctrl-C asks, too.
     """
     global _saves
-    _saves = tuple(CODES) if interrupts else (signal.SIGTERM,)
+    _saves = tuple(number for number in CODES if interrupts or number != signal.SIGINT)
     try:
         yield
     finally:
@@ -103,6 +110,9 @@ def _listen(reader: int) -> None:
         elif heard in _saves and not _asked.is_set():
             _asked_by = heard
             _asked.set()
+        elif heard in _saves and heard == HANGUP:
+            # the system and the shell both send it
+            continue
         else:
             _end(heard)
 

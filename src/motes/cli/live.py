@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 ENDING = ".live.npz"
 """Of the file that keeps a run."""
+MOST_LAG = 100_000
+"""Steps that may be gone back to; the laws of all of them are in memory."""
 
 
 def run_live(wish: Asked) -> None:
@@ -134,7 +136,8 @@ def prepared(wish: Asked, job: "Job", name: str, filter: "Filter", sinks: Sequen
     else:
         source = Replay(wish.application.name, job.ys, job.inputs, job.times, asked.speed)
     try:
-        opened = sinks_at(sinks, asked.source)
+        recorded = getattr(wish.settings, "data", "")
+        opened = sinks_at(sinks, asked.source, recorded if isinstance(recorded, str) else getattr(recorded, "file", ""))
     except Exception:
         source.close()
         raise
@@ -147,6 +150,8 @@ def _refuse_numbers(asked: Any) -> None:
     from motes.core import checks
 
     checks.natural("live lag", asked.lag)
+    if asked.lag > MOST_LAG:
+        refuse("live lag", f"at most {MOST_LAG} steps", shown(asked.lag))
     for name in ("jump", "checkpoint"):
         checks.above_zero(f"live {name}", getattr(asked, name))
     for name in ("speed", "wait", "patience"):
@@ -193,6 +198,9 @@ def form_of(job: "Job", data: Any, asked: Any) -> "Form":
         columns, y = names, y if isinstance(y, dict) else {name: np.zeros(sizes[name]) for name in names}
     elif isinstance(y, dict) and columns and set(columns) != set(y):
         refuse("live columns", f"the names {', '.join(y)}", shown(", ".join(columns)))
+    for key, several in (("columns", columns if asked.source else ()), ("fields", asked.fields)):
+        if len(set(several)) < len(several):
+            refuse(f"live {key}", "names that differ", shown(", ".join(several)))
     names = Names(columns, own.inputs, time, asked.number, asked.fields)
     return Form(names, y, None if job.inputs is None else at_step(job.inputs, 0), timed=bool(time))
 

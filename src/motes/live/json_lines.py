@@ -1,6 +1,7 @@
 """Results as lines of JSON, in a file or on standard output: only whole lines are ever there."""
 
 import os
+import select
 import stat
 from contextlib import suppress
 from typing import Any
@@ -8,7 +9,11 @@ from typing import Any
 from motes.io.archive import POSIX
 from motes.io.files import foreign, known_by, reject
 from motes.live.counts import LOG
+from motes.live.inbox import POLL
 from motes.live.sink import IN_USE, Sink, line_of
+
+AT_ONCE = 512
+"""Bytes that a pipe takes without waiting where it takes any."""
 
 
 class JSONLines(Sink):
@@ -18,7 +23,7 @@ class JSONLines(Sink):
         """Write to an open file, by its number, which is closed in the end; with a path to what is there under that name."""
         self.name, self._file = name, file
         self._plain = stat.S_ISREG(os.fstat(file).st_mode)
-        self._path = path if self._plain else None
+        self._path, self._named = path if self._plain else None, path is not None
         # one that a shell opened with >> stands at its beginning until it is written to
         self._end = os.lseek(file, 0, os.SEEK_END) if self._plain else 0
 
@@ -31,8 +36,7 @@ class JSONLines(Sink):
         """Write a line; of a file that is full what is only half of one is taken back."""
         line = line_of(record) + b"\n"
         if not self._plain:
-            while line:
-                line = line[os.write(self._file, line) :]
+            self._hand_on(line)
             return
         self._look()
         if not _ends_a_line(self._file, self._end):
@@ -44,6 +48,20 @@ class JSONLines(Sink):
             os.lseek(self._file, 0, os.SEEK_END)
             raise OSError(f"the disk took {written} of {len(line)} bytes")
         self._end = os.lseek(self._file, 0, os.SEEK_CUR)
+
+    def _hand_on(self, line: bytes) -> None:
+        """Write to a pipe or a terminal, waiting for who reads, but not once the run is to end."""
+        while line:
+            while POSIX and not select.select([], [self._file], [], POLL)[1]:
+                if self.ends():
+                    raise OSError("nobody reads it, and the run is to end")
+            try:
+                line = line[os.write(self._file, line[:AT_ONCE]) :]
+            except BrokenPipeError:
+                if not self._named:
+                    raise
+                # another reader may open it
+                raise OSError("nobody reads it") from None
 
     def _look(self) -> None:
         """See to it that lines go where the path leads, and to the end: others remove, replace and empty files."""
@@ -89,10 +107,15 @@ def to_file(path: str) -> JSONLines:
     """Open a file for lines; what is in it stays.
 
     Raises:
-        FileError: it cannot be written, or another run writes to it.
+        FileError: it cannot be written, another run writes to it, or it has something else than lines of JSON.
     """
     with foreign(path, "a file that can be written"):
-        return JSONLines(path, _to_append(path), path)
+        file = _to_append(path)
+        begins = os.pread(file, 20, 0) if stat.S_ISREG(os.fstat(file).st_mode) else b""
+        if begins[:1] not in b"{\n":
+            os.close(file)
+            reject(path, "a file of JSON lines, or none", f"one that begins with {begins!a}", "Name another, or move that away.")
+        return JSONLines(path, file, path)
 
 
 def to_open(name: str, file: int) -> JSONLines:
@@ -107,9 +130,23 @@ def to_open(name: str, file: int) -> JSONLines:
 
 def _to_append(path: str) -> int:
     """Open a file to write behind what is in it, which no other run does until it is closed."""
+    if _is_pipe(path):
+        # without a reader it can only be opened beside one: who read and wrote himself would fill it, and wait for himself
+        reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            return os.open(path, os.O_WRONLY | os.O_CLOEXEC)
+        finally:
+            os.close(reader)
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
     _lock(file, path)
     return file
+
+
+def _is_pipe(path: str) -> bool:
+    try:
+        return stat.S_ISFIFO(os.stat(path).st_mode)
+    except FileNotFoundError:
+        return False
 
 
 def _lock(file: int, name: str) -> None:

@@ -150,6 +150,8 @@ class Run:
         """
         if self.checkpoint is not None and self.stream is None:
             self.checkpoint.begin({"sinks": self._kept_by_sinks()})
+        for guarded in self.sinks:
+            guarded.sink.ends = ends
         inbox = Inbox(self.source)
         silence = Silence(self.source.name, self.settings.patience)
         saved, unsaved = time.monotonic(), False
@@ -237,8 +239,7 @@ class Run:
     def _take(self, placed: Placed) -> None:
         """Take a message at its place, write what came of it, and tell who watches."""
         began = time.perf_counter()
-        if placed.anew:
-            self.stream = None
+        self.stream = None if placed.anew else self.stream
         again = self.order.back(placed.back)
         if placed.back:
             assert self.stream is not None
@@ -266,8 +267,7 @@ class Run:
 
     def _step(self, placed: Placed, again: bool = False) -> bool:
         """Take a step, and tell whether its measurement could be used in any way; one that is taken again was counted before."""
-        message = placed.message
-        y = message.y
+        message, y = placed.message, placed.message.y
         try:
             u = self._work.form.with_step(message.u, self.order.since(placed))
             if self.stream is None:

@@ -92,7 +92,8 @@ class Order:
             self._came += 1
             # a message in between ends a row of duplicates, whether it has a place or not is told later
             self._twice = 0
-            if self._newest is not None and message.time < self._newest:
+            taken = self.window[-1].message.time if self.window else None
+            if self._newest is not None and (message.time if taken is None else taken) <= message.time < self._newest:
                 self.counts.add("sorted")
             if self._newest is None or message.time >= self._newest:
                 self._newest, self._latest = message.time, message

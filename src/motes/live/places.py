@@ -64,13 +64,18 @@ def sink_at(address: str) -> Sink:
     return Parquet(address) if address.rstrip("/").endswith(".parquet") else to_file(address)
 
 
-def sinks_at(addresses: Sequence[str], source: str = "") -> list[Sink]:
-    """Open several sinks, of which none is the file of the source; where one cannot be opened, none is left open."""
+def sinks_at(addresses: Sequence[str], *sources: str) -> list[Sink]:
+    """Open several sinks, all different, and none the file of a source; where one cannot be opened, none is left open."""
     found: list[Sink] = []
+    known: set[str] = set()
     try:
         for address in addresses:
-            if Path(source).is_file() and Path(address).is_file() and os.path.samefile(source, address):
+            if any(Path(source).is_file() and Path(address).is_file() and os.path.samefile(source, address) for source in sources):
                 refuse(f"sink {address}", "another file than the source", "the same", "It would read what it writes.")
+            place = os.path.realpath(address) if "://" not in address and address not in ("", "-") else address
+            if place in known:
+                refuse("sinks", "addresses that differ", f"{address} twice")
+            known.add(place)
             found.append(sink_at(address))
     except Exception:
         for sink in found:

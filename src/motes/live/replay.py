@@ -39,6 +39,8 @@ class Replay(Source):
         self._times = None if times is None else np.asarray(times, np.float64)
         self._speed, self._at = (0.0 if times is None else speed), 0
         self._began: float | None = None
+        self._leaves = jax.tree.leaves((self._rows, self._times))
+        self._begin_digests()
 
     def understood(self, received: int) -> Message:
         """Return the message of a row."""
@@ -69,9 +71,16 @@ class Replay(Source):
         return range(begin, self._at)
 
     def mark(self, position: int) -> str:
-        """Return a digest of the last rows before a position."""
-        last = jax.tree.map(lambda leaf: leaf[max(0, position - TOGETHER) : position], (self._rows, self._times))
-        return hashlib.sha256(b"".join(leaf.tobytes() for leaf in jax.tree.leaves(last))).hexdigest()[:16]
+        """Return a digest of all rows before a position; rows that were digested before are not read again."""
+        if position < self._digested:
+            self._begin_digests()
+        for digest, leaf in zip(self._digests, self._leaves, strict=True):
+            digest.update(leaf[self._digested : position].tobytes())
+        self._digested = position
+        return hashlib.sha256(b"".join(digest.digest() for digest in self._digests)).hexdigest()[:16]
+
+    def _begin_digests(self) -> None:
+        self._digests, self._digested = [hashlib.sha256() for _ in self._leaves], 0
 
     def go_on(self, position: int) -> None:
         """Begin at a row."""

@@ -4,7 +4,7 @@ import json
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from motes.live.counts import LOG
@@ -20,9 +20,11 @@ class Sink(ABC):
 
     Attributes:
         name: as the user gave it.
+        ends: tells whether the run is to end: nobody is waited for then.
     """
 
     name: str
+    ends: Callable[[], bool] = staticmethod(lambda: False)
 
     @property
     def place(self) -> str:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 
 from motes.core.checks import refuse
+from motes.live.counts import LOG
 from motes.live.message import LONGEST, Form
 from motes.live.source import Received, TextSource
 
@@ -20,7 +21,7 @@ class Datagrams(TextSource):
     """Datagrams at an address and port of this machine."""
 
     def __init__(self, name: str, form: Form, host: str, port: int):
-        """Open the port.
+        """Open the port; one that the system chose is told.
 
         Raises:
             MotesError: it is in use, or the address is none of this machine.
@@ -37,6 +38,8 @@ class Datagrams(TextSource):
             self._socket.close()
             refuse(f"source {name}", "an address of this machine with a free port", reason.strerror or str(reason),
                    "Another program may listen there: ss -ulpn tells which.")  # fmt: skip
+        if port == 0:
+            LOG.info("source %s listens at port %d.", name, self.port)
         self._socket.setblocking(False)
         with contextlib.suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
