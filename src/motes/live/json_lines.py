@@ -12,8 +12,8 @@ from motes.live.counts import LOG
 from motes.live.inbox import POLL
 from motes.live.sink import IN_USE, Sink, line_of
 
-AT_ONCE = 512
-"""Bytes that a pipe takes without waiting where it takes any."""
+AT_ONCE: int = getattr(select, "PIPE_BUF", 512)
+"""Bytes that a pipe takes whole and without waiting where it takes any."""
 
 
 class JSONLines(Sink):
