@@ -2,6 +2,9 @@
 
 import math
 import random
+import sys
+import threading
+import time
 
 import jax.numpy as jnp
 import numpy as np
@@ -155,6 +158,33 @@ def test_numbers_drawn_by_another_thread_are_nothing_of_the_function():
 
     mo.structure(model(disturbed))
     assert len(times) > 1
+
+
+def test_a_thread_that_draws_all_the_time_is_nothing_of_the_function():
+    over, interval = threading.Event(), sys.getswitchinterval()
+
+    def draw():
+        while not over.is_set():
+            np.random.random()  # noqa: NPY002
+            random.random()
+
+    def long(x, u, t):
+        end = time.perf_counter() + 3 * interval
+        while time.perf_counter() < end:
+            pass
+        return x
+
+    threads = [threading.Thread(target=draw, daemon=True) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    try:
+        mo.structure(model(long))
+        assert refused(lambda: mo.structure(model(of_numpy))).startswith("dynamics f(x, u, t): expected a function without random numbers")
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
+    assert sys.getswitchinterval() == interval
 
 
 def test_the_line_is_the_one_at_fault():

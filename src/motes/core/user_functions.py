@@ -9,12 +9,15 @@ from types import TracebackType
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from motes.core.checks import MotesError
+from motes.core.checks import MotesError, is_concrete
 
 _LIBRARIES = ("jax", "jaxlib", "numpy", "scipy", "motes", "blackjax", "functools", "contextlib", "math")
 LONGEST_LINE, LONGEST_FILE = 80, 100
+TRIES = 8
+"""Times that a function is traced to see whether it always is the same program: a coin falls equally 8 times in a row once in 128."""
 
 
 def called(role: str, function: Callable[..., Any], *args: Any) -> Any:
@@ -29,18 +32,20 @@ def called(role: str, function: Callable[..., Any], *args: Any) -> Any:
         MotesError: it fails, returns nothing, or draws random numbers, which would be drawn once and be constants from then on.
     """
     generators = _generators(function)
-    before = _states(generators)
+    before, everyones = _states(generators), _states_of_all()
     try:
         found = function(*args)
+        draws = _states_of_all() != everyones and _is_another_each_time(function, args)
         if _states(generators) != before:
             # another thread may have drawn meanwhile, but hardly twice
             before = _states(generators)
             function(*args)
+            draws = draws or _states(generators) != before
     except MotesError:
         raise
     except Exception as reason:
         raise MotesError(_message(role, function, args, reason)) from None
-    if _states(generators) != before:
+    if draws:
         raise MotesError(f"{role}: expected a function without random numbers of its own, got {_source_of(function)}, which draws some: "
                          "once, while it is traced, for all steps. Give noise as a law, or Custom(sample=...), which has a key.")
     if found is None:
@@ -48,8 +53,29 @@ def called(role: str, function: Callable[..., Any], *args: Any) -> Any:
     return found
 
 
+def _is_another_each_time(function: Callable[..., Any], args: tuple[Any, ...]) -> bool:
+    """Tell whether a function is another program each time it is traced: generators that all share are drawn from by other threads, too."""
+    try:
+        programs = [_program(function, args) for _ in range(TRIES)]
+    except Exception:
+        # it is called with what is known, and will be asked again once it is traced
+        return False
+    return any(program != programs[0] for program in programs)
+
+
+def _program(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple[str, list[bytes]]:
+    """Return a function as a traced program, and the constants of that."""
+    def numbers(*args: Any) -> list[Any]:
+        return [leaf for leaf in jax.tree.leaves(function(*args)) if isinstance(leaf, (jax.Array, np.ndarray, np.generic, int, float))]
+
+    program = jax.make_jaxpr(numbers)(*args)
+    known = [one for one in getattr(program, "consts", ()) if is_concrete(one)]
+    numeric = [np.asarray(one) for one in known if not jnp.issubdtype(one.dtype, jax.dtypes.prng_key)]
+    return re.sub(" at 0x[0-9a-f]+", "", str(program)), [one.tobytes() for one in numeric]
+
+
 def _generators(function: Any) -> list[Any]:
-    """Return the generators of NumPy and of Python that a function may draw from: those of all, and those that it names."""
+    """Return the generators of NumPy and of Python that a function names."""
     try:
         read = inspect.getclosurevars(_innermost(function))
     except (TypeError, ValueError):
@@ -59,11 +85,15 @@ def _generators(function: Any) -> list[Any]:
 
 
 def _states(generators: list[Any]) -> list[str]:
-    """Return the states of generators, and of those that all share."""
-    everyones, shared = random.getstate(), np.random.get_state(legacy=False)  # noqa: NPY002 (is what a user may draw from)
-    own = [one.bit_generator.state if isinstance(one, np.random.Generator) else
-           one.getstate() if isinstance(one, random.Random) else one.get_state(legacy=False) for one in generators]  # fmt: skip
-    return [repr(one) for one in (shared["state"]["pos"], shared["has_gauss"], everyones[1][-1], everyones[2], *own)]
+    """Return the states of generators."""
+    return [repr(one.bit_generator.state if isinstance(one, np.random.Generator) else
+                 one.getstate() if isinstance(one, random.Random) else one.get_state(legacy=False)) for one in generators]  # fmt: skip
+
+
+def _states_of_all() -> tuple[Any, ...]:
+    """Return as much of the states of the generators that all share as changes when one draws from them."""
+    ours, numpys = random.getstate(), np.random.get_state(legacy=False)  # noqa: NPY002 (is what a user may draw from)
+    return numpys["state"]["pos"], numpys["has_gauss"], ours[1][-1], ours[2]
 
 
 def _message(role: str, function: Any, args: tuple[Any, ...], reason: Exception) -> str:
