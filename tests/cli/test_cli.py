@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -309,6 +310,10 @@ def test_report_of_a_run(tmp_path, monkeypatch, capsys):
     history.save("run.npz")
     assert main(["report", "run.npz"]) == 0
     assert str(history) in capsys.readouterr().out and "<h1>Run</h1>" in Path("report.html").read_text()
+    kept = mo.run(0, mo.ParticleFilter(n=20), model, [[1.0], [2.0], [0.5]], keep=mo.keep.laws)
+    for one, drawn in ((history, True), (kept, False)):
+        page = mo.report(one, "again.html").read_text()
+        assert (re.findall(r'"drawn": ?(\w+)', page), "drawn from mean" in page) == ([str(drawn).lower()] * 3, True)
     refused(capsys, ["report", "none.npz"], "none.npz")
 
 

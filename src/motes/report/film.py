@@ -53,6 +53,7 @@ class Frame(NamedTuple):
         truth: `(k,)`, NaN where it is not known.
         picture: JPEG of what stands behind it at this moment alone, or empty.
         moving: places that the law knows, `(l, 2)`.
+        drawn: whether its points were drawn from mean and covariance, since the law has none or none was kept.
     """
 
     number: int
@@ -67,6 +68,7 @@ class Frame(NamedTuple):
     truth: np.ndarray
     picture: bytes = b""
     moving: np.ndarray | None = None
+    drawn: bool = False
 
     @property
     def size(self) -> int:
@@ -88,7 +90,8 @@ class Frame(NamedTuple):
         """
         now = self.step if np.isnan(self.time) else self.time
         header: dict[str, Any] = {"number": self.number, "step": self.step, "time": rounded(self.time), "count": self.points.shape[1],
-                                  "axes": list(axes), "moving": self._moved(), "low": [], "high": [], "mean": [], "truth": []}  # fmt: skip
+                                  "axes": list(axes), "drawn": self.drawn, "moving": self._moved(),
+                                  "low": [], "high": [], "mean": [], "truth": []}  # fmt: skip
         parts = []
         for axis in axes:
             across = (now, now, now, now) if axis < 0 else (self.low[axis], self.high[axis], self.mean[axis], self.truth[axis])
@@ -132,7 +135,7 @@ def frame(which: tuple[int, int, float], seen: Seen, scene: Scene, u: Any = None
     whole = np.round((points - low[:, None]) / reach[:, None] * LARGEST).astype(np.uint16)
     there = scene.truth is not None and step < len(scene.truth)
     truth = np.asarray(scene.truth[step], np.float64) if there else np.full(len(scene.names), np.nan)  # type: ignore[index]
-    return Frame(which[0], step, which[2], whole, weights, low, high, mean, cov, truth, picture, seen.moving)
+    return Frame(which[0], step, which[2], whole, weights, low, high, mean, cov, truth, picture, seen.moving, seen.points is None)
 
 
 def _points_of(mean: np.ndarray, cov: np.ndarray, seen: Seen) -> tuple[np.ndarray, np.ndarray]:

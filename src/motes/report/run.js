@@ -42,9 +42,10 @@
       draw();
     });
   });
+  const drawn = data.frames.every(function (one) { return one.header.drawn; });
   const marks = motesCloud.labels(scene).map(function (label) { return ", " + label; }).join("");
   document.getElementById("legend").textContent =
-    "Blue: particles; orange: mean, way and two-sigma ellipse" + (scene.truth ? "; black or white: truth" : "") + marks + ".";
+    "Blue: " + (drawn ? "points drawn from mean and covariance" : "particles") + "; orange: mean, way and two-sigma ellipse" + (scene.truth ? "; black or white: truth" : "") + marks + ".";
 
   function chart(title, name, logarithmic, factor) {
     const values = motesCloud.charted(column(name), logarithmic, factor || 1);
