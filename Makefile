@@ -69,7 +69,7 @@ lint: $(STAMP)
 	@$(BIN)/python tests/layering/budgets.py
 
 # the site under out/site, without a network and with warnings as errors; tutorials are run, and kept in out/notebooks until they
-# change. Notebooks of the examples are written; MOTES_NIGHTLY=1 runs them, which takes half an hour
+# change. Notebooks of the examples are written; MOTES_NIGHTLY=1 runs them, which takes an hour
 docs:
 	@$(MAKE) --no-print-directory setup VENV=$(DOCS) EXTRAS=all,docs
 	@$(DOCS)/bin/python -m sphinx -q -W --keep-going -b html -c docs . out/site
