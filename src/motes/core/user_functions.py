@@ -32,15 +32,10 @@ def called(role: str, function: Callable[..., Any], *args: Any) -> Any:
         MotesError: it fails, returns nothing, or draws random numbers, which would be drawn once and be constants from then on.
     """
     generators = _generators(function)
-    before, everyones = _states(generators), _states_of_all()
+    before = _states(generators)
     try:
         found = function(*args)
-        draws = _states_of_all() != everyones and _is_another_each_time(function, args)
-        if _states(generators) != before:
-            # another thread may have drawn meanwhile, but hardly twice
-            before = _states(generators)
-            function(*args)
-            draws = draws or _states(generators) != before
+        draws = _states(generators) != before and _is_another_each_time(function, args)
     except MotesError:
         raise
     except Exception as reason:
@@ -54,7 +49,7 @@ def called(role: str, function: Callable[..., Any], *args: Any) -> Any:
 
 
 def _is_another_each_time(function: Callable[..., Any], args: tuple[Any, ...]) -> bool:
-    """Tell whether a function is another program each time it is traced: generators that all share are drawn from by other threads, too."""
+    """Tell whether a function is another program each time it is traced: other threads may have drawn from its generators meanwhile."""
     try:
         programs = [_program(function, args) for _ in range(TRIES)]
     except Exception:
@@ -75,7 +70,7 @@ def _program(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple[str, 
 
 
 def _generators(function: Any) -> list[Any]:
-    """Return the generators of NumPy and of Python that a function names."""
+    """Return the generators of NumPy and of Python that a function names, beside those that all share."""
     try:
         read = inspect.getclosurevars(_innermost(function))
     except (TypeError, ValueError):
@@ -85,15 +80,11 @@ def _generators(function: Any) -> list[Any]:
 
 
 def _states(generators: list[Any]) -> list[str]:
-    """Return the states of generators."""
-    return [repr(one.bit_generator.state if isinstance(one, np.random.Generator) else
-                 one.getstate() if isinstance(one, random.Random) else one.get_state(legacy=False)) for one in generators]  # fmt: skip
-
-
-def _states_of_all() -> tuple[Any, ...]:
-    """Return as much of the states of the generators that all share as changes when one draws from them."""
-    ours, numpys = random.getstate(), np.random.get_state(legacy=False)  # noqa: NPY002 (is what a user may draw from)
-    return numpys["state"]["pos"], numpys["has_gauss"], ours[1][-1], ours[2]
+    """Return the states of generators, and of those that all share."""
+    everyones, shared = random.getstate(), np.random.get_state(legacy=False)  # noqa: NPY002 (is what a user may draw from)
+    own = [one.bit_generator.state if isinstance(one, np.random.Generator) else
+           one.getstate() if isinstance(one, random.Random) else one.get_state(legacy=False) for one in generators]  # fmt: skip
+    return [repr(one) for one in (shared["state"]["pos"], shared["has_gauss"], everyones[1][-1], everyones[2], *own)]
 
 
 def _message(role: str, function: Any, args: tuple[Any, ...], reason: Exception) -> str:
